@@ -33,7 +33,9 @@ from .noise.model import NoiseModel as NoiseModel
 from .noise.model import common_process as common_process
 from .noise.output_series import OutputSeries as OutputSeries
 from .noise.output_series import output_series as output_series
+from .noise.sample_grid import Rows as Rows
 from .noise.sandwich import ResidualNoise as ResidualNoise
+from .noise.sandwich import sandwich as sandwich
 from .noise.sandwich import sandwich_of as sandwich_of
 from .noise.whiteness_tests import CrossCorrelation as CrossCorrelation
 from .noise.whiteness_tests import FitProjection as FitProjection

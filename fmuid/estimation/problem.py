@@ -166,6 +166,10 @@ class LeastSquares:
         """Return this problem with the simulation settings of a result."""
         return self
 
+    def directions(self, result: Any) -> tuple[Any, ...]:  # noqa: ARG002 - systems have
+        """Return the directions of model errors at a result; functions have none."""
+        return ()
+
     def measuring(self, experiments: Sequence[Experiment], parameters: Mapping[str, Parameter] | None = None) -> Self:
         """Return this problem with other measured values, and other initial guesses."""
         other = copy.copy(self)

@@ -29,6 +29,7 @@ class Reason(Enum):
     LARGE_RESIDUAL = "large_residual"  # beside the noise level of the data, from all starting points
     SOLVER_UNCHECKED = "solver_unchecked"
     SOLVER_ERROR = "solver_error"  # added to σ
+    MODEL_ERROR = "model_error"  # named by a directed test
     PRIOR_DATA_CONFLICT = "prior_data_conflict"
     NOISE_LEVEL = "noise_level"  # of the residual, beside the given one
     INPUT_CORRELATION = "input_correlation"
@@ -94,6 +95,8 @@ class Verdict:
     ----------
     doubts : tuple of Doubt
         The gravest first; empty if passed.
+    freed : tuple of Doubt
+        Model errors that are parameters of the result.
 
     Examples
     --------
@@ -102,14 +105,15 @@ class Verdict:
     """
 
     doubts: tuple[Doubt, ...] = ()
+    freed: tuple[Doubt, ...] = ()
 
     json_layout: ClassVar = Layout(derived=("grade",))
 
     @classmethod
-    def of(cls, doubts: Iterable[Doubt]) -> Verdict:
+    def of(cls, doubts: Iterable[Doubt], freed: Iterable[Doubt] = ()) -> Verdict:
         """Return the verdict of doubts in any order."""
         order = list(Reason)
-        return cls(tuple(sorted(doubts, key=lambda each: order.index(each.reason))))
+        return cls(tuple(sorted(doubts, key=lambda each: order.index(each.reason))), tuple(freed))
 
     @property
     def grade(self) -> Grade:

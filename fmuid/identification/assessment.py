@@ -13,6 +13,8 @@ from fmuid.blas import single_threaded
 from fmuid.codec import Layout
 from fmuid.estimation import LeastSquares, Result, check_level
 from fmuid.events import Event, MapStep, Progress
+from fmuid.identification.directed_tests import find_model_errors
+from fmuid.identification.model_errors import ModelErrors
 from fmuid.identification.prior_and_data import PriorDataComparison, compare_prior_and_data
 from fmuid.identification.residual_analysis import ResidualAnalysis, analyze_residuals
 
@@ -76,6 +78,8 @@ class Assessment:
         Confidence level of all intervals.
     residuals, prior_and_data : ResidualAnalysis, PriorDataComparison, or None
         None of a result read from a file.
+    model_errors : ModelErrors or None
+        Directed tests; None where there is nothing to test.
     maps : tuple of CostMap
     profiles : tuple of Profile
     posterior : Posterior or None
@@ -85,6 +89,7 @@ class Assessment:
     level: float = CONFIDENCE_LEVEL
     residuals: ResidualAnalysis | None = None
     prior_and_data: PriorDataComparison | None = None
+    model_errors: ModelErrors | None = None
     maps: tuple[CostMap, ...] = ()
     profiles: tuple[Profile, ...] = ()
     posterior: Posterior | None = None
@@ -152,7 +157,7 @@ def assess(
     progress : callable, optional
         Called before each map, and after each point of a profile and step of the sampler (`fmuid.events`).
     earlier : Assessment, optional
-        Of the same result: its residuals, prior and data are taken over.
+        Of the same result: its residuals, prior and data, and directed tests are taken over.
 
     Returns
     -------
@@ -176,13 +181,14 @@ def assess(
     asked = asked or AssessmentSettings()
     found = Assessment(asked.level)
     if earlier is not None:
-        found = replace(found, residuals=earlier.residuals, prior_and_data=earlier.prior_and_data)
-    elif result.fit.linearization is not None:
+        found = replace(earlier, level=asked.level, maps=(), profiles=(), posterior=None, interrupted=False)
+    if found.residuals is None and result.fit.linearization is not None:
         residuals = analyze_residuals(problem, result)
         reading = compare_prior_and_data(
             problem, result, search_data=asked.search_data, healthy=asked.known_variance, diagnostics=residuals
         )
-        found = replace(found, residuals=residuals, prior_and_data=reading)
+        errors = find_model_errors(problem.as_in(result), result) if earlier is None else earlier.model_errors
+        found = replace(found, residuals=residuals, prior_and_data=reading, model_errors=errors)
     try:
         for explored in _explored(problem, result, asked, progress or (lambda _: None), found):
             found = explored

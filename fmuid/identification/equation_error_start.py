@@ -20,6 +20,7 @@ from fmuid.array_types import Flags, Floats, Indices
 from fmuid.data import Noise, Parameter
 from fmuid.errors import FmuidError, InputError
 from fmuid.estimation import Evaluator, LeastSquares, Marquardt, WeakForm, second_difference_noise, sobol_points
+from fmuid.identification.linearized_record import both_ends
 from fmuid.identification.problem import Problem
 from fmuid.simulation import RightHandSide
 
@@ -244,11 +245,6 @@ def _marched(begins: Floats, ends: Floats, defect: Floats) -> Floats:
     except np.linalg.LinAlgError:
         return np.full(defect.shape, np.nan)
     return np.asarray(found.reshape(defect.shape), dtype=np.float64)
-
-
-def both_ends(states: Floats) -> Floats:
-    """Return the states at both ends of each interval."""
-    return np.repeat(states, 2, axis=0)[1:-1]
 
 
 def states_from_outputs(

@@ -9,6 +9,7 @@ import numpy as np
 
 from fmuid.estimation import AccuracyOutcome, Doubt, Reason, Result, SearchFailure, TerminationReason, Verdict
 from fmuid.identification.assessment import Assessment, better_point
+from fmuid.identification.model_errors import ErrorKind, ModelError, ModelErrors
 from fmuid.identification.prior_and_data import PriorDataComparison
 from fmuid.identification.prior_data_tests import Deviation
 from fmuid.identification.residual_analysis import ResidualAnalysis, ResidualDefect
@@ -52,13 +53,20 @@ def judge(
     'passed'
     """
     doubts = [*_of_search(result), *_of_identifiability(result), *_of_solver(result)]
+    freed: list[Doubt] = []
     doubts += [Doubt(Reason.POOR_FIT, key, {"fit": fit}) for key, fit in (fits or {}).items() if fit < MIN_FIT]
     doubts += [Doubt(Reason.MISSING_ROWS, (name,), {"first": float(times[0])}) for name, times in (gaps or {}).items()]
     if assessment is not None:
         doubts += _of_uncertainty(assessment)
-        doubts += [] if assessment.residuals is None else _of_residuals(assessment.residuals)
+        errors = assessment.model_errors
+        if errors is not None:
+            rough = tuple(each for each in errors.freed if ErrorKind.DEAD_TIME in each.kinds)
+            doubts += _of_model_errors(errors, (*errors.errors, *rough))
+            freed += _of_model_errors(errors, errors.freed)
+        if assessment.residuals is not None:
+            doubts += _of_residuals(assessment.residuals, tested=errors is not None and errors.covers_dynamics)
         doubts += [] if assessment.prior_and_data is None else _of_prior(assessment.prior_and_data)
-    return Verdict.of(doubts)
+    return Verdict.of(doubts, freed)
 
 
 def _of_search(result: Result) -> Iterator[Doubt]:
@@ -105,14 +113,27 @@ def _of_solver(result: Result) -> Iterator[Doubt]:
         yield Doubt(Reason.SOLVER_ERROR, (result.names[i],), {"shift": float(abs(check.shift[i]))})
 
 
-def _of_residuals(found: ResidualAnalysis) -> Iterator[Doubt]:
+def _of_model_errors(found: ModelErrors, errors: Sequence[ModelError]) -> Iterator[Doubt]:
+    """Yield model errors; a dead time is not linear in its size, so that it leaves a doubt where it is freed."""
+    for each in errors:
+        test, direction = each.test, each.test.direction
+        i, shift = test.most
+        values = {"size": test.size, "std": test.std, "shift": shift * abs(test.size)}
+        subject = (direction.kind.value, found.names[i], direction.unit, *direction.subject)
+        yield Doubt(Reason.MODEL_ERROR, subject, {**values, "alternatives": float(len(each.alternatives))})
+
+
+def _of_residuals(found: ResidualAnalysis, *, tested: bool) -> Iterator[Doubt]:
+    """Yield doubts about residuals; color alone is none where directed tests of the model found nothing in it."""
     for each in (finding for finding in found.findings if finding.large):
+        if tested and each.trait is ResidualDefect.COLORED:
+            continue
         subject = (each.output, each.experiment, *([each.input_name] if each.input_name else []))
         yield Doubt(_DEFECTS[each.trait], subject, _size(each.trait, each.series, each.input))
     for periodic in found.returning:
         values = {"period": periodic.period, "fraction": periodic.share}
         yield Doubt(Reason.PERIODIC_ERROR, (periodic.output, periodic.experiment), values)
-    for slow in found.slow:
+    for slow in () if tested else found.slow:
         values = {"time_constant": slow.time_constant, "fraction": slow.share}
         yield Doubt(Reason.LOW_FREQUENCY_NOISE, (slow.output, *slow.experiments), values)
     for long in found.long_memory:

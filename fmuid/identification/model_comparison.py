@@ -52,7 +52,8 @@ class ModelCandidate:
     def count(self) -> int:
         """k: the identifiable parameters and estimated variances."""
         variances = len(set(self.result.fit.noise_variance) - set(self.result.fit.given_variance))
-        return len(self.result.names) - len(self.result.identifiability.non_identifiable) + variances
+        freed = 0 if self.result.verdict is None else len(self.result.verdict.freed)
+        return len(self.result.names) + freed - len(self.result.identifiability.non_identifiable) + variances
 
     @property
     def samples(self) -> int:

@@ -15,6 +15,7 @@ from fmuid.data import Experiment, JointPrior, Noise, Parameter, ParameterSet
 from fmuid.errors import InputError
 from fmuid.estimation import SENSITIVITIES, LeastSquares, Result, RunFields, UsedModel
 from fmuid.formatting import nearest
+from fmuid.identification.model_errors import Direction
 from fmuid.models import FMU, System
 from fmuid.simulation import (
     AS_ASKED,
@@ -213,6 +214,13 @@ class Problem(LeastSquares):
                 found.update(array.tobytes())
         found.update(b"" if self.levels.scale is None else self.levels.scale.tobytes())
         return found.digest()
+
+    def directions(self, result: Result) -> tuple[Direction, ...]:
+        """Return the directions of model errors at a result."""
+        from fmuid.identification.directions import model_directions
+
+        own = self.as_in(result)
+        return () if self.corrected else model_directions(own, own.simulators, result)
 
     @property
     def made_with(self) -> ModelReference:

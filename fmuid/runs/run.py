@@ -14,7 +14,17 @@ from fmuid.errors import FmuidError, InputError
 from fmuid.estimation import RESULT_SCHEMA, Result
 from fmuid.events import DataOnlyStep, Progress
 from fmuid.files import WriteError
-from fmuid.identification import Assessment, AssessmentSettings, Problem, assess, judge
+from fmuid.identification import (
+    Assessment,
+    AssessmentSettings,
+    Problem,
+    Refit,
+    assess,
+    find_model_errors,
+    judge,
+    refit,
+    without_sizes,
+)
 from fmuid.runs.apply import write_estimates
 from fmuid.runs.findings import IdentificationRun, at_minimum
 from fmuid.runs.folder import RESULT_FILE, write_identification
@@ -59,8 +69,10 @@ def identified(
         origin = None if folder is None else made_from(study, folder=folder)
         asked = study.uncertainty_settings
         found = IdentificationRun(result, assessment=Assessment(asked.level), origin=origin, prepared=done)
+        fitted = Refit(problem, result, None)
         if result.fit.linearization is not None:
-            found = _examined(study, problem, found, progress)
+            fitted = _freed(study, problem, result, progress)
+            found = _examined(study, fitted, found, progress)
         found = _judged(found)
         if folder is not None:
             try:
@@ -74,7 +86,8 @@ def identified(
                 raise
         yield found
         if asked.explores and result.fit.linearization is not None and at_minimum(result):
-            found = _judged(replace(found, assessment=assess(problem, result, asked, progress, found.assessment)))
+            checks = assess(fitted.problem, fitted.result, asked, progress, found.assessment)
+            found = _judged(replace(found, assessment=checks))
             yield found if folder is None else _written(study, folder, found)
 
 
@@ -91,9 +104,20 @@ def resumed_start(path: Path, parameters: ParameterSet) -> Floats:
     return start
 
 
-def _examined(study: Study, problem: Problem, found: IdentificationRun, progress: Progress | None) -> IdentificationRun:
+def _freed(study: Study, problem: Problem, result: Result, progress: Progress | None) -> Refit:
+    """Test the model; identify again with the errors found, where the study does not only want a report."""
+    mode, tested = study.estimation.model_error, problem.as_in(result)
+    found = None if mode == "off" or not at_minimum(result) else find_model_errors(tested, result)
+    again = None
+    free = mode == "refit" and result.converged and study.diagnosis is None
+    if free and found is not None and found.errors and all(each.is_plausible for each in found.errors):
+        again = refit(tested, result, found, progress)
+    return again or Refit(problem, result, found)
+
+
+def _examined(study: Study, fitted: Refit, found: IdentificationRun, progress: Progress | None) -> IdentificationRun:
     """Assess residuals, prior and data."""
-    result = found.result
+    problem, result = fitted.problem, fitted.result
     if progress is not None and problem.parameters.prior_whitening.size and result.history.elapsed_s > QUICK_SECONDS:
         progress(DataOnlyStep())
     asked = AssessmentSettings(
@@ -103,7 +127,9 @@ def _examined(study: Study, problem: Problem, found: IdentificationRun, progress
     )
     fits = tuple(fit_of(study.system, *each) for each in zip(study.tables, result.fit.simulated, strict=True))
     lost = {each.name: rows for each in study.tables if each.input_names and (rows := dropouts(each.times))}
-    return replace(found, fits=fits, assessment=assess(problem, result, asked), dropouts=lost)
+    checks = assess(problem, result, asked, earlier=Assessment(asked.level, model_errors=fitted.found))
+    own = without_sizes(result, len(found.result.names))
+    return replace(found, result=own, fits=fits, assessment=checks, dropouts=lost)
 
 
 def _judged(found: IdentificationRun) -> IdentificationRun:

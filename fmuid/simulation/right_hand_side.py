@@ -83,6 +83,16 @@ class RightHandSide:
         found = job.outputs[:, :, self._columns]
         return found[:, :, :count], self._simulator.in_table_units(found[:, :, count:])
 
+    @property
+    def times(self) -> Floats:
+        """Times of the samples (K,), s."""
+        return self._simulator.experiment.times
+
+    def trajectory(self, theta: Floats) -> Floats | None:
+        """Simulate theta (N,); return the states (K, n_x), None after a failure."""
+        found = self._simulator.over(extended_by(self._simulator.experiment, self.states)).many(theta[None])
+        return None if found.errors[0] is not None else found.outputs[0]
+
     def output_slopes(self, theta: Floats) -> tuple[Floats, Floats, Floats]:
         """Return C = ∂y/∂x at the beginning (n_y, n_x); initial states (n_x,), outputs (K, n_y) with these states.
 

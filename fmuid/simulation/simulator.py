@@ -193,9 +193,9 @@ class Simulator:
         """Free the system's instances; later simulations make new ones."""
         close(self.system)
 
-    def over(self, experiment: Experiment) -> Simulator:
-        """Return the simulator of another experiment."""
-        return self._like(self.system, experiment, self._divisor, self._tolerance)
+    def over(self, experiment: Experiment, parameters: Sequence[str] | None = None) -> Simulator:
+        """Return the simulator of another experiment, or of other parameters."""
+        return self._like(self.system, experiment, self._divisor, self._tolerance, parameters=parameters)
 
     def by(self, system: System, divisor: int, tolerance: float | None, most_steps: int | None = None) -> Simulator:
         """Return the simulator of this experiment by another system (`System.run_by`).
@@ -226,9 +226,11 @@ class Simulator:
         divisor: int,
         tolerance: float | None,
         most_steps: int | None = None,
+        parameters: Sequence[str] | None = None,
     ) -> Simulator:
-        step = self.settings[1]
-        other = Simulator(system, experiment, self.parameters, values=self._values, step_size=step, divisor=divisor)
+        names, step = self.parameters if parameters is None else parameters, self.settings[1]
+        values = {name: value for name, value in self._values.items() if name not in names}
+        other = Simulator(system, experiment, names, values=values, step_size=step, divisor=divisor)
         other._tolerance = tolerance
         if tolerance is not None:
             other._simulation.control(tolerance, most_steps)

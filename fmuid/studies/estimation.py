@@ -31,6 +31,9 @@ Limits = Annotated[dict[str, kinds.Number], kinds.Entries("{ fault.size = number
 METHODS = ("levenberg-marquardt", "multi-start", "differential-evolution")
 
 
+MODEL_ERROR = ("refit", "report", "off")
+
+
 class EstimationSection(StudySection):
     """Optimization of the parameters."""
 
@@ -51,6 +54,11 @@ class EstimationSection(StudySection):
         "refine",
         'for solver errors above 0.1 σ: "refine" the solver, or "report" them; "off": no check',
         "refine",
+    )
+    model_error: Annotated[str, kinds.one_of(MODEL_ERROR)] = entry(
+        "refit",
+        'for model errors that directed tests name: "refit" with them as parameters, or "report" them; "off": no tests',
+        "refit",
     )
     restarts: bool = entry(
         True,

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from fmuid.estimation import Doubt, Reason, Verdict
-from fmuid.reports.topics.verdict import VerdictMessage, reason_words, verdict_state
+from fmuid.identification import ErrorKind
+from fmuid.reports.topics.verdict import VerdictMessage, reason_words, remedy_words, verdict_state
 
 VALUES = {"fit": 12.4, "ratio": 5.42, "shift": 0.81, "probability": 3e-4}
 
@@ -14,7 +15,15 @@ def test_reasons_and_messages_are_the_same_in_one_order() -> None:
     assert [each.name for each in VerdictMessage] == [each.name for each in Reason]
 
 
-@pytest.mark.parametrize("reason", Reason)
+@pytest.mark.parametrize("kind", ErrorKind)
+def test_each_model_error_is_said_with_its_remedy(kind: ErrorKind) -> None:
+    error = Doubt(Reason.MODEL_ERROR, (kind.value, "R", "V", "u", "i"), {"size": 0.021, "std": 0.004, "shift": 3.2})
+    words, remedy = reason_words(Verdict((error,))), remedy_words(Verdict((error,)))
+    assert words and remedy and "{" not in words + remedy
+    assert reason_words(Verdict((), (error,))) == f"freed: {words}"
+
+
+@pytest.mark.parametrize("reason", [each for each in Reason if each is not Reason.MODEL_ERROR])
 def test_each_reason_is_said(reason: Reason) -> None:
     words = reason_words(Verdict((Doubt(reason, ("y", "run", "u"), VALUES), Doubt(reason, ("x", "run", "v"), VALUES))))
     assert words and "{" not in words

@@ -9,9 +9,16 @@ import pandas as pd
 
 from fmuid.estimation import Result, Verdict
 from fmuid.formatting import fit_text, unit_text
-from fmuid.identification import judge
+from fmuid.identification import ModelErrors, judge
 from fmuid.models import SolverConfiguration
 from fmuid.reports.document import Document, Message, Remark, Section, bad, origin_of, plain
+from fmuid.reports.topics.assumptions import (
+    assumed_section,
+    hidden_remark,
+    hidden_test,
+    hiding_section,
+    model_error_remarks,
+)
 from fmuid.reports.topics.estimates import correlation_sections, estimates_section, precision_remarks
 from fmuid.reports.topics.fit import fit_remarks, fit_sections
 from fmuid.reports.topics.optimization import optima_remarks, optima_section, optimization_sections
@@ -64,7 +71,8 @@ def _reason(result: Result, verdict: Verdict) -> str:
     ended, how = state_and_reason(result)
     if not result.converged:
         return f"{ended}: {how}"
-    return reason_words(verdict) or f"converged {how}; all checks passed"
+    passed = "all other checks passed" if verdict.freed else f"converged {how}; all checks passed"
+    return "; ".join(filter(None, (reason_words(verdict), "" if verdict.doubts else passed)))
 
 
 def _models(result: Result) -> dict[str, str]:
@@ -85,6 +93,7 @@ def _remarks(found: IdentificationRun) -> list[Remark]:
     said = [first, *precision_remarks(result), *fit_remarks(found.fits)]
     said += [gap_remark(*each) for each in found.dropouts.items()]
     said += [*others, *optima_remarks(result)]
+    said += model_error_remarks(checks.model_errors)
     said += [*reading_remarks(reading, found.output_units), *residual_remarks(residuals, found.output_units)]
     said.append(RunMessage.NOISE.said("residuals", noise=_noise(result, found.fits)))
     for component, model in result.setup.models.items():
@@ -120,9 +129,18 @@ def _summary(found: IdentificationRun, said: Sequence[Remark]) -> tuple[tuple[st
         lines.append((label, _short(f"{label} ", doubts or mine), bool(doubts)))
     shown = [each for each in lines if each[1]]
     if not any(doubtful for *_, doubtful in shown):
-        shown.append(("Not tested", "model errors that the parameters absorb → fmuid predict RESULT NEW_DATA", True))
+        shown.append((*_untested(found.assessment.model_errors), True))
     kept = sorted(shown, key=lambda each: not each[2] and each[0] != "Fit")[:MAX_LINES]
     return tuple((label, text) for each in shown if each in kept for label, text in [each[:2]])
+
+
+def _untested(found: ModelErrors | None) -> tuple[str, str]:
+    """Return the line that stands beside PASSED: what the tests would not have shown."""
+    hidden = None if found is None else hidden_test(found)
+    if found is None or hidden is None:
+        return "Not tested", "model errors that the parameters absorb → fmuid predict RESULT NEW_DATA"
+    label, text = hidden_remark(found, hidden).text.rstrip(".").split(": ", 1)
+    return label, text
 
 
 _SETTINGS = ("SolverMessage.CHECKED", "SolverMessage.RUN", "SolverMessage.SENSITIVITIES")
@@ -164,6 +182,22 @@ def _noise(result: Result, fits: Sequence[OutputFit]) -> str:
     return ", ".join(words)
 
 
+def _assumptions(found: IdentificationRun) -> list[tuple[str, str, str]]:
+    """Return assumptions beside the fixed parameters: what, value and effect."""
+    result, rows = found.result, list[tuple[str, str, str]]()
+    for experiment in result.fit.experiments:
+        where = f" in {experiment.name}" if len(result.fit.experiments) > 1 else ""
+        for name, held in zip(experiment.input_names, experiment.held.tolist(), strict=True):
+            rows.append((f"{name}{where} between samples", "held" if held else "interpolated", ""))
+    if result.fit.noise is not None:
+        for model in result.fit.noise.models:
+            order = model.process.coefficients.size
+            rows.append(
+                (f"noise of {model.series.output}", f"autoregression of order {order}" if order else "white", "")
+            )
+    return list(dict.fromkeys(rows))
+
+
 def identification_sections(found: IdentificationRun) -> list[Section]:
     """Return the sections of an identification."""
     result, fits, units, estimates = found.result, found.fits, found.unit_of, found.estimates
@@ -176,6 +210,8 @@ def identification_sections(found: IdentificationRun) -> list[Section]:
         *([optima_section(result)] if result.history.optima else []),
         estimates_section(result, checks.level),
         *([interval_section(checks, result)] if checks.is_explored else []),
+        *assumed_section(checks.model_errors, _assumptions(found)),
+        *hiding_section(checks.model_errors),
         *fit_sections(fits),
         *preprocessing_sections(found.prepared, len(fits) > 1),
         *([residual_section(fits, correlations)] if fits else []),

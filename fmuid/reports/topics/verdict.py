@@ -8,6 +8,7 @@ from itertools import groupby
 from fmuid.estimation import Doubt, Grade, Reason, Verdict
 from fmuid.formatting import listed
 from fmuid.reports.document import Message, Tone
+from fmuid.reports.topics.assumptions import error_remedy, error_words
 
 SHOWN_REASONS = 2
 """Reasons in the first line; the others are counted."""
@@ -41,6 +42,11 @@ class VerdictMessage(Message):
         "solver error moves {first} by {shift:.2g} σ",
         "σ includes it",
         "Leave `interface`, `tolerance` and `solver_check` unset.",
+    )
+    MODEL_ERROR = (
+        "{error}",
+        "a directed test names this model error",
+        "Follow the message of the model error.",
     )
     PRIOR_DATA_CONFLICT = (
         "prior and data conflict (p = {probability:.1g})",
@@ -80,13 +86,17 @@ def verdict_state(verdict: Verdict) -> tuple[str, Tone]:
 
 def reason_words(verdict: Verdict) -> str:
     """Return the gravest reasons, and the number of others."""
-    told = list(_phrases(verdict))
+    told = [f"freed: {listed([error_words(each) for each in verdict.freed])}"] if verdict.freed else []
+    told += _phrases(verdict)
     more = [f"{len(told) - SHOWN_REASONS} more"] if len(told) > SHOWN_REASONS else []
     return "; ".join([*told[:SHOWN_REASONS], *more])
 
 
 def remedy_words(verdict: Verdict) -> str:
     """Return the remedy of the gravest reason that has one."""
+    named = next((each for each in verdict.doubts if each.reason is Reason.MODEL_ERROR), None)
+    if named is not None and verdict.reasons[0] is Reason.MODEL_ERROR:
+        return error_remedy(named)
     return next((text for each in verdict.reasons if (text := VerdictMessage[each.name].remedy)), "")
 
 
@@ -98,6 +108,7 @@ def _phrases(verdict: Verdict) -> Iterator[str]:
             "first": next(iter(first.subject), ""),
             "subjects": _joined(_subjects(reason, doubts)),
             "inputs": _joined(_inputs(doubts)),
+            "error": listed([error_words(each) for each in doubts]) if reason is Reason.MODEL_ERROR else "",
         }
         yield VerdictMessage[reason.name].text.format_map({**first.values, **words})
 

@@ -68,7 +68,7 @@ def test_identify_writes_tables_and_figures(identified: tuple[Path, str]) -> Non
         "result.json", "estimates.csv", "trace.csv", "fit.csv", "diagnostics.csv",
         "parameters.ssv", "document.json", "report.html", "figures",
     }  # fmt: skip
-    drawn = ("fit", "residuals", "parameters", "cost", "correlation", "accuracy")
+    drawn = ("fit", "residuals", "parameters", "cost", "correlation", "accuracy", "hiding")
     assert {path.name for path in (out / "figures").iterdir()} == {f"{name}.png" for name in drawn}
     found, estimates = result(out), pd.read_csv(out / "estimates.csv")
     assert estimates["parameter"].tolist() == ["R", "L"]

@@ -52,7 +52,7 @@ def test_identify_prints_verdict_table_and_five_lines(folder: Path, said: Said) 
     assert first.split(maxsplit=1)[0] == "PASSED"
     assert heads.split()[:4] == ["parameter", "estimate", "relative", "σ"]
     lines = rest[rest.index("") + 1 :]
-    assert [line[:13].strip() for line in lines] == ["Fit", "Residuals", "Solver", "Not tested", "Report"]
+    assert [line[:13].strip() for line in lines] == ["Fit", "Residuals", "Solver", "Could hide", "Report"]
     assert lines[-1].endswith("found/report.html")
     code, out, error = said(*words, "--verbose")
     assert code == DONE

@@ -1,0 +1,265 @@
+"""Directed tests of model errors (docs/method/directed-tests.md).
+
+With whitened residual r, sensitivities S and direction d, all orthogonal to S: t = dᵀr/(s |d|). The probability of the
+largest |t| of all directions is simulated with their correlations. Size dᵀr/|d|²; the estimates take S⁺d of a unit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+from scipy import special
+
+from fmuid.array_types import Floats
+from fmuid.estimation import LeastSquares, ResidualNoise, Result, Rows, sandwich
+from fmuid.identification.model_errors import LEVEL, DirectedTest, Direction, ErrorKind, ModelError, ModelErrors
+
+
+@dataclass(frozen=True)
+class DirectedTestSettings:
+    """Numbers of the directed tests."""
+
+    draws: int = 20_000  # of the null; 200 of them are beyond the level
+    seed: int = 0
+    least_share: float = 0.01  # of a direction that the parameters leave; less is not testable
+    alternative: float = 4.0  # of −2 ln L: directions that explain as much
+    close_share: float = 0.6  # of the strongest score²: a dead time that scores so much may be the error
+    most: int = 3  # errors named
+    rounding_share: float = 1e-6  # of the measured values: smaller residuals are no noise
+    power: float = 0.95  # of records in which a detectable size shows
+    checked: int = 3  # strongest unweighted directions, tested with the noise that is left beside them: ...
+    checked_share: float = 0.25  # ... they have this part of the level, for noise models that took an offset for noise
+
+
+SETTINGS = DirectedTestSettings()
+
+
+class WhitenedRows:
+    """Residual, sensitivities and directions of a result, whitened by its noise model; prior rows beside them."""
+
+    def __init__(self, problem: LeastSquares, result: Result, directions: Sequence[Direction]) -> None:
+        local, noise = result.fit.linearization, result.fit.noise
+        assert local is not None and noise is not None, "a result from a file has neither"
+        levels = np.sqrt([result.fit.variance[name] for name in problem.output_names])[problem.groups]
+        columns = np.stack([each.column for each in directions], axis=1) / levels[:, None]
+        self.directions, self.problem, self.result = directions, problem, result
+        self.samples = len(local.residual)
+        self.raw = np.column_stack([local.residual, -local.jacobian, columns])
+        self.prior = np.column_stack([local.prior_residual, -local.prior_jacobian])
+        root = local.root
+        self.shift = np.nan_to_num((root @ (root.T @ (-local.jacobian.T @ columns))) / result.std[:, None])
+        self._set(whitened(noise, self.raw))
+
+    def _set(self, white: Floats) -> None:
+        count, priors = len(self.directions), len(self.prior)
+        first = white.shape[1] - count
+        rows = np.vstack([white, np.hstack([self.prior, np.zeros((priors, count))])]) if priors else white
+        self.residual, self.sensitivities, self.columns = rows[:, 0], rows[:, 1:first], rows[:, first:]
+
+
+def whitened(noise: ResidualNoise, rows: Floats) -> Floats:
+    """Return uncorrelated innovations (n, k) of rows, of unit variance."""
+    found = np.array(rows)
+    for members, common in noise.grids():
+        places = members[0].series.places
+        parts = [each.whiten(rows[each.series.rows]) for each in members]
+        if len(members) > 1 and all(np.array_equal(each.series.places, places) for each in members):
+            std = np.sqrt(np.diag(common))
+            factor = np.linalg.cholesky(common / np.outer(std, std) + 1e-9 * np.eye(len(std)))
+            stacked = np.stack(parts).reshape(len(parts), -1)
+            parts = list(scipy.linalg.solve_triangular(factor, stacked, lower=True).reshape(np.stack(parts).shape))
+        for each, part in zip(members, parts, strict=True):
+            found[each.series.rows] = part
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class FreedFit:
+    """Estimates with directions freed beside the parameters.
+
+    Attributes
+    ----------
+    chosen : tuple of int
+        Freed directions.
+    step : (N + m,) array
+        Change of the parameters, then sizes of the directions.
+    covariance : (N + m, N + m) array
+    freedom : (N + m,) array
+        Degrees of freedom of the variances.
+    noise : ResidualNoise
+        Of what is left.
+    """
+
+    chosen: tuple[int, ...]
+    step: Floats
+    covariance: Floats
+    freedom: Floats
+    noise: ResidualNoise
+
+
+def score_directions(rows: WhitenedRows, known: Sequence[int] = ()) -> list[DirectedTest]:
+    """Test all directions beside the parameters and those already `known` (indices)."""
+    fitted = np.hstack([rows.sensitivities, rows.columns[:, list(known)]])
+    basis = _basis(fitted)
+    residual = rows.residual - basis @ (basis.T @ rows.residual)
+    left = rows.columns - basis @ (basis.T @ rows.columns)
+    free = len(residual) - fitted.shape[1]
+    spread = math.sqrt(float(residual @ residual) / max(free, 1))
+    whole, lengths = np.linalg.norm(rows.columns, axis=0), np.linalg.norm(left, axis=0)
+    share = lengths / np.maximum(whole, 1e-300)
+    testable = [j for j in range(len(share)) if share[j] > SETTINGS.least_share and j not in known and spread > 0.0]
+    unit = left[:, testable] / lengths[testable]
+    products = unit.T @ residual
+    rest = np.maximum(float(residual @ residual) - products**2, 1e-300) / max(free - 1, 1)
+    scores = np.sign(products) * normal_scores(np.abs(products) / np.sqrt(rest), free - 1)
+    beside = np.zeros(len(testable))
+    for k in np.argsort(-np.abs(_unweighted(rows, known, testable)))[: SETTINGS.checked].tolist():
+        own = freed(rows, [*known, testable[k]])
+        wald = own.step[-1] / math.sqrt(own.covariance[-1, -1])
+        score = float(np.sign(wald) * normal_scores(np.array([abs(wald)]), float(own.freedom[-1]))[0])
+        beside[k] = score
+    one_sided = np.array([rows.directions[j].one_sided for j in testable], bool)
+    if one_sided.any():
+        scores, beside = (np.where(one_sided, np.maximum(each, 0.0), each) for each in (scores, beside))
+    null = largest_scores(unit.T @ unit)
+    critical = float(np.quantile(null, 1.0 - LEVEL)) if len(null) else math.inf
+    found = []
+    for j, each in enumerate(rows.directions):
+        shift = rows.shift[:, j]
+        if j not in testable:
+            found.append(DirectedTest(each, float(share[j]), 0.0, 1.0, 0.0, math.inf, math.inf, shift))
+            continue
+        k = testable.index(j)
+        std = spread / lengths[j]
+        detectable = float(std * (critical + special.ndtri(SETTINGS.power)))
+        score, probability = _larger(null, float(scores[k]), float(beside[k]))
+        size = float(products[k] / lengths[j])
+        found.append(DirectedTest(each, float(share[j]), score, probability, size, float(std), detectable, shift))
+    return found
+
+
+def _basis(columns: Floats) -> Floats:
+    """Return an orthonormal basis of columns (n, k)."""
+    u, s, _ = np.linalg.svd(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), full_matrices=False)
+    return np.asarray(u[:, s > 1e-10 * s.max(initial=0.0)])
+
+
+def freed(rows: WhitenedRows, chosen: Sequence[int]) -> FreedFit:
+    """Free directions beside the parameters: one step of the unweighted least squares, with the noise that is left."""
+    problem, local = rows.problem, rows.result.fit.linearization
+    assert local is not None, "checked before"
+    design = np.hstack(
+        [rows.raw[:, 1 : 1 + len(rows.result.names)], rows.raw[:, [1 + len(rows.result.names) + j for j in chosen]]]
+    )
+    prior = np.zeros((len(rows.prior), design.shape[1]))
+    prior[:, : len(rows.result.names)] = rows.prior[:, 1:]
+    whole, target = np.vstack([design, prior]), np.concatenate([rows.raw[:, 0], rows.prior[:, 0]])
+    scale = np.maximum(np.linalg.norm(whole, axis=0), 1e-300)
+    orthonormal, triangle = np.linalg.qr(whole / scale)
+    inverse = scipy.linalg.solve_triangular(triangle, np.eye(len(scale))) / scale[:, None]
+    step = inverse @ (orthonormal.T @ target)
+    basis = np.linalg.qr(design / scale)[0] if len(prior) else orthonormal
+    left = rows.raw[:, 0] - design @ step
+    own = prior @ inverse
+    given = ~np.isnan(problem.variance)
+    found = sandwich(
+        Rows(
+            left - basis @ (basis.T @ left),
+            basis,
+            design @ inverse,
+            inverse,
+            own.T @ own,
+            given,
+            np.zeros(len(given), bool),
+        ),
+        problem.series,
+    )
+    return FreedFit(tuple(chosen), step, found.covariance, found.freedom, found.noise)
+
+
+def _unweighted(rows: WhitenedRows, known: Sequence[int], among: Sequence[int]) -> Floats:
+    """Return unweighted scores of directions beside the parameters and those known."""
+    first = 1 + len(rows.result.names)
+    fitted = rows.raw[:, [*range(1, first), *(first + j for j in known)]]
+    basis = _basis(fitted)
+    columns = rows.raw[:, [first + j for j in among]]
+    columns = columns - basis @ (basis.T @ columns)
+    return np.asarray(columns.T @ rows.raw[:, 0] / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))
+
+
+def normal_scores(t: Floats, freedom: float) -> Floats:
+    """Return normal scores of t statistics (m,), exact far into the tails."""
+    if not freedom < 1e4:
+        return t
+    return np.asarray(-special.ndtri_exp(np.log(np.maximum(special.stdtr(freedom, -t), 1e-300))))
+
+
+def _larger(null: Floats, score: float, beside: float) -> tuple[float, float]:
+    """Return the more significant of two scores, and its probability."""
+    own = probability_of(null, abs(score)) / (1.0 - SETTINGS.checked_share)
+    other = probability_of(null, abs(beside)) / SETTINGS.checked_share if beside else 1.0
+    return (score, min(own, 1.0)) if own <= other else (beside, min(other, 1.0))
+
+
+def largest_scores(correlation: Floats) -> Floats:
+    """Return the sorted largest |z| of correlated draws (m, m)."""
+    if not len(correlation):
+        return np.zeros(0)
+    values, vectors = np.linalg.eigh(correlation)
+    draws = np.random.default_rng(SETTINGS.seed).standard_normal((SETTINGS.draws, len(correlation)))
+    return np.sort(np.abs(draws @ (vectors * np.sqrt(np.maximum(values, 0.0))).T).max(axis=1))
+
+
+def probability_of(null: Floats, score: float) -> float:
+    """Return the probability of a largest score; beyond the draws by Bonferroni with the effective number of tests."""
+    counted = 1.0 - np.searchsorted(null, score) / len(null)
+    if counted > 40 / len(null):
+        return float(counted)
+    effective = max(1.0, (1.0 - np.searchsorted(null, 3.0) / len(null)) / (2.0 * special.ndtr(-3.0)))
+    return float(min(1.0, effective * 2.0 * special.ndtr(-score)))
+
+
+def find_model_errors(problem: LeastSquares, result: Result) -> ModelErrors | None:
+    """Test all directions of a result; select significant ones, the strongest first, each beside the others.
+
+    None where there is nothing to test: no FMU, a robust loss, or a residual of rounding errors.
+    """
+    local = result.fit.linearization
+    if local is None or problem.loss is not None or not np.isfinite(local.jacobian).all():
+        return None
+    if not all(_is_noisy(problem, result, name) for name in problem.output_names):
+        return None
+    directions = problem.directions(result)
+    if not directions:
+        return None
+    rows = WhitenedRows(problem, result, directions)
+    first = found = score_directions(rows)
+    known: list[int] = []
+    errors: list[ModelError] = []
+    while len(known) < SETTINGS.most:
+        j = int(np.argmax([abs(each.score) for each in found]))
+        strongest = found[j]
+        if strongest.probability > LEVEL:
+            break
+        alternatives = [each.direction for k, each in enumerate(found) if k != j and _is_alternative(each, strongest)]
+        errors.append(ModelError(strongest, tuple(alternatives)))
+        known.append(j)
+        found = score_directions(rows, known)
+    return ModelErrors(result.names, tuple(first), tuple(errors))
+
+
+def _is_alternative(test: DirectedTest, strongest: DirectedTest) -> bool:
+    """Return True if a direction explains as much; a dead time is not linear in its size and scores too low."""
+    share = SETTINGS.close_share if test.direction.kind is ErrorKind.DEAD_TIME else 1.0
+    least = min(strongest.score**2 - SETTINGS.alternative, share * strongest.score**2)
+    return bool(test.score) and test.score**2 > least
+
+
+def _is_noisy(problem: LeastSquares, result: Result, output: str) -> bool:
+    """Return True if the residual exceeds rounding and simulation errors."""
+    own = problem.measured[problem.groups == problem.output_names.index(output)]
+    return result.fit.noise_variance[output] > SETTINGS.rounding_share**2 * float(np.mean(own**2))

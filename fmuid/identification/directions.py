@@ -1,0 +1,329 @@
+"""Directions of model errors: what one unit of each error adds to the simulated outputs.
+
+An error of a sensor acts on the outputs. All others act on the linearized model (`LinearizedRecord`): an input, a
+parameter that is none, an initial state. A fixed parameter is moved by one simulation.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmuid.array_types import Floats
+from fmuid.data import Experiment
+from fmuid.estimation import LeastSquares, Result
+from fmuid.identification.linearized_record import Forcing, LinearizedRecord, both_ends
+from fmuid.identification.model_errors import CHANGING, Direction, ErrorKind
+from fmuid.simulation import Simulator
+
+
+@dataclass(frozen=True)
+class DirectionSettings:
+    """Usual sizes of errors, and numbers of their directions."""
+
+    delay: float = 0.5  # samples: where in an interval a channel is read
+    share: float = 0.01  # of an amplitude: gains, offsets, error voltages of ordinary sensors and inverters
+    saturation: float = 0.1  # of a parameter at the largest amplitude
+    drift: float = 0.05  # of a parameter over the record: 13 K of copper
+    fixed: float = 0.1  # of a fixed parameter
+    initial: float = 0.05  # of a state's range
+    sign_width: float = 0.02  # of the amplitude: where the sign of a current changes
+    most_fixed: int = 12  # fixed parameters; each costs a simulation
+    fixed_step: float = 1e-3  # relative
+    agreement: float = 0.1  # relative error of the linearized sensitivities that still allows these directions
+
+
+SETTINGS = DirectionSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class _Column:
+    """A direction over one experiment: change of its outputs (K, n_y)."""
+
+    kind: ErrorKind
+    subject: tuple[str, ...]
+    unit: str
+    usual: float
+    table: Floats
+    one_sided: bool = False
+    value: float = math.nan  # of a fixed parameter
+
+
+def model_directions(problem: LeastSquares, simulators: Sequence[Simulator], result: Result) -> tuple[Direction, ...]:
+    """Return the directions of model errors at a result."""
+    local = result.fit.linearization
+    assert local is not None, "a result from a file has no linearization"
+    theta, simulated = result.values, result.fit.simulated
+    levels = np.sqrt([result.fit.variance[name] for name in problem.output_names])[problem.groups]
+    jacobian = -local.jacobian * levels[:, None]
+    found: dict[tuple[ErrorKind, tuple[str, ...]], dict[int, _Column]] = {}
+    slopes = [problem.tables(problem.unscaled(column)) for column in jacobian.T]
+    for index, simulator in enumerate(simulators):
+        columns = problem.parameters.for_experiment(index)[1]
+        own = np.array([slopes[i][index] for i in columns])
+        for each in _columns(simulator, theta[columns], simulated[index], own, len(problem.experiments)):
+            found.setdefault((each.kind, each.subject), {})[index] = each
+    empty = [np.zeros(each.output_values.shape) for each in problem.experiments]
+    directions = []
+    for (kind, subject), parts in found.items():
+        tables = [parts[i].table if i in parts else zeros for i, zeros in enumerate(empty)]
+        first = next(iter(parts.values()))
+        usual = float(np.mean([each.usual for each in parts.values()]))
+        column = problem.stacked(tables)
+        if (
+            kind in CHANGING and subject[0] in result.names
+        ):  # by its value where the record sees it: no shift of its own
+            i = result.names.index(subject[0])
+            column = column - jacobian[:, i] * (local.root @ (local.root.T @ (jacobian.T @ (column / levels**2))))[i]
+        if np.isfinite(column).all() and column.any():
+            directions.append(Direction(kind, subject, first.unit, usual, first.one_sided, first.value, column))
+    return tuple(directions)
+
+
+def _columns(
+    simulator: Simulator, theta: Floats, simulated: Floats, slopes: Floats, experiments: int
+) -> Iterator[_Column]:
+    """Yield the directions over one experiment."""
+    experiment = simulator.experiment
+    units = {name: experiment.units.get(name) or simulator.system.unit(name) or "" for name in experiment.columns}
+    yield from _of_sensors(experiment, simulated, units)
+    yield from _of_fixed(simulator, theta)
+    record = LinearizedRecord.of(simulator, theta)
+    if record is None or not _agrees(record, slopes):
+        return
+    yield from _delays(record)
+    forced = list(_of_inputs(record, units))
+    forced += _of_parameters(record, simulator, units)
+    forced += _of_initial_states(record, simulator, experiments)
+    tables = record.response([each[1] for each in forced])
+    for (made, _), table in zip(forced, tables, strict=True):
+        yield _Column(made.kind, made.subject, made.unit, made.usual, table, made.one_sided)
+
+
+def _agrees(record: LinearizedRecord, slopes: Floats) -> bool:
+    """Return True if linearized and simulated sensitivities (N, K, n_y) agree.
+
+    They are not where the model has events, delays or a memory.
+    """
+    counted = np.isfinite(slopes)
+    for own, other, where in zip(record.sensitivities, slopes, counted, strict=True):
+        if np.linalg.norm(own[where] - other[where]) > SETTINGS.agreement * np.linalg.norm(other[where]):
+            return False
+    return True
+
+
+def _rms(values: Floats) -> float:
+    return max(float(np.sqrt(np.mean(values**2))), 1e-300)
+
+
+def _only(shape: tuple[int, ...], column: int, values: Floats | float) -> Floats:
+    found = np.zeros(shape)
+    found[:, column] = values
+    return found
+
+
+def _of_sensors(experiment: Experiment, simulated: Floats, units: Mapping[str, str]) -> Iterator[_Column]:
+    """Yield offset and gain of each output."""
+    for j, name in enumerate(experiment.output_names):
+        usual, shape = SETTINGS.share * _rms(simulated[:, j]), simulated.shape
+        yield _Column(ErrorKind.OFFSET, (name,), units[name], usual, _only(shape, j, 1.0))
+        yield _Column(ErrorKind.GAIN, (name,), "", SETTINGS.share, _only(shape, j, simulated[:, j]))
+
+
+def _delays(record: LinearizedRecord) -> Iterator[_Column]:
+    """Yield delays of all outputs and of each, in samples: secants of half a sample."""
+    middle, outputs = record.half_samples, record.outputs
+    late = 2.0 * (np.vstack([outputs[:1], middle]) - outputs)
+    early = 2.0 * (np.vstack([middle, outputs[-1:]]) - outputs)
+    names = record.experiment.output_names
+    parts = [(names, slice(None))] + (
+        [((name,), slice(j, j + 1)) for j, name in enumerate(names)] if len(names) > 1 else []
+    )
+    kinds = {ErrorKind.DELAY: 0.5 * (late - early)}
+    if record.experiment.held.any():  # slopes before and after a sample differ
+        kinds = {ErrorKind.DELAY: late, ErrorKind.ADVANCE: early}
+    for kind, whole in kinds.items():
+        for subject, columns in parts:
+            table = np.zeros(outputs.shape)
+            table[:, columns] = whole[:, columns]
+            yield _Column(kind, subject, "samples", SETTINGS.delay, table, len(kinds) > 1)
+
+
+def _made(kind: ErrorKind, subject: tuple[str, ...], unit: str, usual: float, one_sided: bool = False) -> _Column:
+    return _Column(kind, subject, unit, usual, np.zeros((0, 0)), one_sided)
+
+
+def _input_change(record: LinearizedRecord, column: int, change: Floats) -> Forcing:
+    """Return the forcing of a change (P,) of an input."""
+    direct = record.at_samples(record.outputs_by_input[column] * change[:, None])
+    return Forcing(record.by_input[column] * change[:, None], direct)
+
+
+def _of_inputs(record: LinearizedRecord, units: Mapping[str, str]) -> Iterator[tuple[_Column, Forcing]]:
+    """Yield errors of the inputs."""
+    experiment = record.experiment
+    for j, name in enumerate(experiment.input_names):
+        values, ends = experiment.input_values[:, j], record.input_ends[:, j]
+        if not values.any():
+            continue
+        usual, one = SETTINGS.share * _rms(values), np.ones(len(ends))
+        yield _made(ErrorKind.INPUT_OFFSET, (name,), units[name], usual), _input_change(record, j, one)
+        yield _made(ErrorKind.INPUT_GAIN, (name,), "", SETTINGS.share), _input_change(record, j, ends)
+        rise, between = np.diff(values), np.zeros(len(ends))
+        if not rise.any():
+            continue
+        between[1::2] = rise if experiment.held[j] else -rise  # linear in place of held, or held in place of linear
+        yield _made(ErrorKind.INTERPOLATION, (name,), "", 1.0, True), _input_change(record, j, between)
+        if len(experiment.input_names) > 1:
+            yield from _input_delays(record, j, rise)
+    yield from _dead_times(record, units)
+
+
+def _input_delays(record: LinearizedRecord, column: int, rise: Floats) -> Iterator[tuple[_Column, Forcing]]:
+    """Yield the delay of an input by a sample; of a held one it moves impulses."""
+    subject = (record.experiment.input_names[column],)
+    if not record.experiment.held[column]:
+        change = -np.repeat(rise, 2)
+        yield _made(ErrorKind.INPUT_DELAY, subject, "samples", SETTINGS.delay), _input_change(record, column, change)
+        return
+    slope, h, none = record.by_input[column], np.diff(record.times)[:, None], np.zeros_like(record.rates)
+    before, after = np.concatenate([[0.0], rise[:-1]]), rise
+    late, early = -h * slope[::2] * before[:, None], h * slope[1::2] * after[:, None]
+    yield _made(ErrorKind.INPUT_DELAY, subject, "samples", SETTINGS.delay, True), Forcing(none, begin=late)
+    yield _made(ErrorKind.INPUT_ADVANCE, subject, "samples", SETTINGS.delay, True), Forcing(none, end=early)
+
+
+def _dead_times(record: LinearizedRecord, units: Mapping[str, str]) -> Iterator[tuple[_Column, Forcing]]:
+    """Yield dead times of inputs, alone and along their common vector."""
+    experiment, pairs = record.experiment, driven_outputs(record)
+    for j, k in pairs.items():
+        name, output = experiment.input_names[j], experiment.output_names[k]
+        sign = -signs(record.ends[:, [k]])[:, 0]
+        usual = SETTINGS.share * _rms(experiment.input_values[:, j])
+        yield _made(ErrorKind.DEAD_TIME, (name, output), units[name], usual), _input_change(record, j, sign)
+    for unit in dict.fromkeys(units[experiment.input_names[j]] for j in pairs):
+        own = {j: k for j, k in pairs.items() if units[experiment.input_names[j]] == unit}
+        if len(own) < 2 or len(set(own.values())) < len(own):
+            continue
+        along = -signs(record.ends[:, list(own.values())])
+        parts = [_input_change(record, j, along[:, i]) for i, j in enumerate(own)]
+        rates, outputs = (np.sum([getattr(each, part) for each in parts], axis=0) for part in ("rates", "outputs"))
+        names = tuple(experiment.input_names[j] for j in own) + tuple(experiment.output_names[k] for k in own.values())
+        usual = SETTINGS.share * _rms(experiment.input_values[:, list(own)])
+        yield _made(ErrorKind.DEAD_TIME, names, unit, usual), Forcing(rates, outputs)
+
+
+def signs(signals: Floats) -> Floats:
+    """Return smooth signs (P, 1), or directions of vectors (P, m)."""
+    lengths = np.linalg.norm(signals, axis=1, keepdims=True)
+    width = SETTINGS.sign_width * lengths.max()
+    return np.asarray(np.tanh(signals / width) if signals.shape[1] == 1 else signals / np.maximum(lengths, width))
+
+
+def driven_outputs(record: LinearizedRecord) -> dict[int, int]:
+    """Return the output whose slope each input drives most, by C ∂ẋ/∂u; none for inputs that drive no slope."""
+    found: dict[int, int] = {}
+    sizes = np.sqrt(np.mean(record.ends**2, axis=0)) + 1e-300
+    for j, slope in enumerate(record.by_input):
+        direct = np.sqrt(np.mean(np.einsum("pij,pj->pi", record.observed, slope) ** 2, axis=0)) / sizes
+        if direct.size and direct.max() > 0.0 and np.ptp(record.experiment.input_values[:, j]) > 0.0:
+            found[j] = int(np.argmax(direct))
+    return found
+
+
+def _of_parameters(
+    record: LinearizedRecord, simulator: Simulator, units: Mapping[str, str]
+) -> Iterator[tuple[_Column, Forcing]]:
+    """Yield parameters that depend on amplitudes, or change in time."""
+    times = both_ends(record.times)
+    ramp = (times - times.mean()) / np.ptp(times)
+    halves = np.where(np.repeat(np.diff(record.times).cumsum(), 2) <= 0.5 * np.ptp(times), -0.5, 0.5)
+    signals: list[tuple[ErrorKind, tuple[str, ...], float, Floats]] = [
+        (ErrorKind.DRIFT, (), SETTINGS.drift, ramp),
+        (ErrorKind.STEP, (), SETTINGS.drift, halves),
+    ]
+    experiment = record.experiment
+    signals += [
+        (ErrorKind.SATURATION, names, SETTINGS.saturation, square)
+        for names, square in _squares(experiment.output_names, record.ends, units)
+    ]
+    hidden = [j for j, name in enumerate(record.states) if name not in experiment.output_names]
+    states, kinds = (
+        [record.states[j] for j in hidden],
+        {name: simulator.system.unit(name) or "" for name in record.states},
+    )
+    signals += [
+        (ErrorKind.STATE_DEPENDENCE, names, SETTINGS.saturation, square)
+        for names, square in _squares(states, both_ends(record.trajectory[:, hidden]), kinds)
+    ]
+    for i, parameter in enumerate(simulator.parameters):
+        size = record.theta[i]
+        for kind, names, usual, signal in signals:
+            rates = size * record.by_parameter[i] * signal[:, None]
+            direct = record.at_samples(size * record.outputs_by_parameter[i] * signal[:, None])
+            if rates.any() or direct.any():
+                yield _made(kind, (parameter, *names), "", usual), Forcing(rates, direct)
+
+
+def _squares(
+    names: Sequence[str], values: Floats, units: Mapping[str, str]
+) -> Iterator[tuple[tuple[str, ...], Floats]]:
+    """Yield signals of one unit together: names, and squares (P,) relative to the largest."""
+    for unit in dict.fromkeys(units[name] for name in names):
+        own = [j for j, name in enumerate(names) if units[name] == unit]
+        square = np.sum(values[:, own] ** 2, axis=1)
+        if square.any():
+            yield tuple(names[j] for j in own), square / square.max()
+
+
+def _of_initial_states(
+    record: LinearizedRecord, simulator: Simulator, experiments: int
+) -> Iterator[tuple[_Column, Forcing]]:
+    """Yield the initial value of each state, of each experiment."""
+    for name, axis, values in zip(record.states, np.eye(len(record.states)), record.trajectory.T, strict=True):
+        usual = SETTINGS.initial * max(float(np.ptp(values)), 1e-300)
+        subject = (name,) if experiments == 1 else (name, simulator.experiment.name)
+        made = _made(ErrorKind.INITIAL_STATE, subject, simulator.system.unit(name) or "", usual)
+        yield made, Forcing(np.zeros_like(record.rates), initial=axis)
+
+
+def _of_fixed(simulator: Simulator, theta: Floats) -> Iterator[_Column]:
+    """Yield other values of the fixed parameters, in shares of them: one simulation each."""
+    fixed = fixed_parameters(simulator)
+    names = list(fixed)[: SETTINGS.most_fixed]
+    if not names:
+        return
+    values = np.array([fixed[name] for name in names])
+    other = simulator.over(simulator.experiment, (*simulator.parameters, *names))
+    base = np.concatenate([theta, values])
+    moved = np.tile(base, (len(names), 1))
+    moved[np.arange(len(names)), len(theta) + np.arange(len(names))] *= 1.0 + SETTINGS.fixed_step
+    found = other.many(np.vstack([base, moved]))
+    for name, value, error, outputs in zip(names, values.tolist(), found.errors[1:], found.outputs[1:], strict=True):
+        if error is None and found.errors[0] is None:
+            table = (outputs - found.outputs[0]) / SETTINGS.fixed_step
+            if table.any():
+                yield _Column(ErrorKind.FIXED, (name,), "", SETTINGS.fixed, table, value=value)
+
+
+def fixed_parameters(simulator: Simulator) -> dict[str, float]:
+    """Return fixed real parameters that are not zero, the study's first."""
+    system, values = simulator.system, {**simulator.system.values, **simulator.settings[0]}
+    mine = set(simulator.target_names)
+    found = {
+        name: float(value) for name, value in values.items() if isinstance(value, float | int) and name not in mine
+    }
+    for name, variable in system.variables.items():
+        if variable.causality == "parameter" and isinstance(variable.start, float | int) and name not in mine:
+            found.setdefault(name, float(variable.start))
+    return {
+        name: value
+        for name, value in found.items()
+        if value
+        and system.variables[name].type == "Real"
+        and not system.variables[name].array
+        and system.variables[name].settable
+    }

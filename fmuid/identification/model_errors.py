@@ -1,0 +1,205 @@
+"""Model errors: directions in output space, their tests, and the errors found, as data."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import ClassVar
+
+import numpy as np
+
+from fmuid.array_types import Floats
+from fmuid.codec import Layout
+
+LEVEL = 0.01  # false alarms of all directed tests together
+PLAUSIBLE = 10.0  # usual sizes: a dead time of 10 % of the voltage, a gain of 10 %, five samples late
+
+
+class ErrorKind(Enum):
+    """Kind of a model error; ``kind`` in ``result.json``."""
+
+    DELAY = "delay"  # of an output, or of all
+    ADVANCE = "advance"  # likewise, where held inputs make both directions differ
+    INPUT_DELAY = "input_delay"
+    INPUT_ADVANCE = "input_advance"
+    INTERPOLATION = "interpolation"  # an input is held where it was taken as linear, or the other way round
+    OFFSET = "offset"
+    INPUT_OFFSET = "input_offset"
+    GAIN = "gain"
+    INPUT_GAIN = "input_gain"
+    DEAD_TIME = "dead_time"  # an input lacks a constant against the sign of an output
+    SATURATION = "saturation"  # a parameter depends on the square of outputs
+    STATE_DEPENDENCE = "state_dependence"  # a parameter depends on the square of unmeasured states
+    DRIFT = "drift"  # a parameter changes linearly in time
+    STEP = "step"  # a parameter changes between the halves of the record
+    INITIAL_STATE = "initial_state"
+    FIXED = "fixed"  # a fixed parameter has another value
+
+    @property
+    def is_relative(self) -> bool:
+        """True if the size is a share, printed in %."""
+        return self in _RELATIVE
+
+
+_RELATIVE = frozenset(
+    {
+        ErrorKind.GAIN,
+        ErrorKind.INPUT_GAIN,
+        ErrorKind.SATURATION,
+        ErrorKind.STATE_DEPENDENCE,
+        ErrorKind.DRIFT,
+        ErrorKind.STEP,
+        ErrorKind.FIXED,
+        ErrorKind.INTERPOLATION,
+    }
+)
+
+
+CHANGING = frozenset({ErrorKind.SATURATION, ErrorKind.STATE_DEPENDENCE, ErrorKind.DRIFT, ErrorKind.STEP})
+"""Parameters that are none: the estimate is their value where the record sees them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Direction:
+    """A possible model error.
+
+    Attributes
+    ----------
+    kind : ErrorKind
+    subject : tuple of str
+        Outputs, inputs, parameters or states concerned.
+    unit : str
+        Of its size; "" of a share.
+    usual : float
+        Usual size, σ.
+    one_sided : bool
+        True if its size is positive.
+    value : float
+        Assumed value of a fixed parameter, else NaN.
+    column : (n,) array
+        Change of the counted samples by one unit.
+    """
+
+    kind: ErrorKind
+    subject: tuple[str, ...]
+    unit: str
+    usual: float
+    one_sided: bool = False
+    value: float = math.nan
+    column: Floats = field(default_factory=lambda: np.zeros(0))
+
+    json_layout: ClassVar = Layout(omitted={"column"})
+
+
+@dataclass(frozen=True, eq=False)
+class DirectedTest:
+    """Test of one direction.
+
+    Attributes
+    ----------
+    direction : Direction
+    share : float
+        Part of the direction that the parameters leave, 0 to 1.
+    score : float
+        Normal score of the size; 0 where it cannot be tested.
+    probability : float
+        Of so large a score by chance among all directions.
+    size, std : float
+        In the direction's unit.
+    detectable : float
+        Size that shows in 95 % of records; infinite where it cannot be tested.
+    shift : (N,) array
+        Shift of the estimates by one unit, in their σ.
+    """
+
+    direction: Direction
+    share: float
+    score: float
+    probability: float
+    size: float
+    std: float
+    detectable: float
+    shift: Floats
+
+    @property
+    def is_testable(self) -> bool:
+        """True if the data can show this error."""
+        return math.isfinite(self.detectable)
+
+    @property
+    def most(self) -> tuple[int, float]:
+        """Parameter that moves most, and its shift by one unit, σ."""
+        i = int(np.argmax(np.abs(self.shift)))
+        return i, abs(float(self.shift[i]))
+
+    @property
+    def hidden(self) -> float:
+        """Largest shift by an error that does not show, σ."""
+        return self.most[1] * self.detectable if self.most[1] else 0.0
+
+    @property
+    def exposure(self) -> Floats:
+        """Shift of the estimates (N,) by the usual size, σ."""
+        return self.shift * self.direction.usual
+
+
+@dataclass(frozen=True, eq=False)
+class ModelError:
+    """A significant model error.
+
+    Attributes
+    ----------
+    test : DirectedTest
+        Beside the errors found before.
+    alternatives : tuple of Direction
+        Directions that explain as much.
+    """
+
+    test: DirectedTest
+    alternatives: tuple[Direction, ...] = ()
+
+    @property
+    def is_plausible(self) -> bool:
+        """True if the size is not far beyond the usual: a larger one stands for another error."""
+        return abs(self.test.size) <= PLAUSIBLE * self.test.direction.usual
+
+    @property
+    def kinds(self) -> frozenset[ErrorKind]:
+        """Kinds of the error and its alternatives."""
+        return frozenset(each.kind for each in (self.test.direction, *self.alternatives))
+
+
+@dataclass(frozen=True, eq=False)
+class ModelErrors:
+    """Directed tests of a result.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Parameters.
+    tests : tuple of DirectedTest
+        Of all directions beside the parameters alone.
+    errors : tuple of ModelError
+        Significant errors, the strongest first.
+    level : float
+        False-alarm rate of all tests together.
+    freed : tuple of ModelError
+        Errors that are parameters of the result; the tests are beside them.
+    """
+
+    names: tuple[str, ...]
+    tests: tuple[DirectedTest, ...]
+    errors: tuple[ModelError, ...] = ()
+    level: float = LEVEL
+    freed: tuple[ModelError, ...] = ()
+
+    @property
+    def exposures(self) -> tuple[DirectedTest, ...]:
+        """Tests, by the largest shift that the usual size makes."""
+        return tuple(sorted(self.tests, key=lambda each: -each.most[1] * each.direction.usual))
+
+    @property
+    def covers_dynamics(self) -> bool:
+        """True if inputs, parameters and states were tested, too."""
+        return any(each.direction.kind is ErrorKind.DRIFT for each in self.tests)

@@ -1,0 +1,270 @@
+"""Refit with the model errors freed that directed tests name (docs/method/directed-tests.md).
+
+Each error adds its direction times a free size to the outputs; directions are taken anew at the new estimates.
+Alternatives that explain the residual as well are averaged by their likelihoods, which widens the intervals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fmuid.array_types import Floats
+from fmuid.data import Parameter
+from fmuid.estimation import Estimates, Evaluator, FunctionPredictions, LeastSquares, Marquardt, Result, SolverCheck
+from fmuid.events import Progress
+from fmuid.identification.directed_tests import find_model_errors, whitened
+from fmuid.identification.model_errors import DirectedTest, Direction, ErrorKind, ModelError, ModelErrors
+
+
+@dataclass(frozen=True)
+class RefitSettings:
+    """Numbers of a refit."""
+
+    fits: int = 3  # directions are taken at the estimates of the fit before
+    close_share: float = 0.6  # of the strongest score²: directions that fits tell apart, not linear scores
+    most: int = 4  # directions fitted in turn
+    settled: float = 0.01  # σ; estimates that move less end it
+    least_weight: float = 0.02  # of a alternative in the average
+
+
+SETTINGS = RefitSettings()
+Key = tuple[ErrorKind, tuple[str, ...]]
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """Result with model errors freed.
+
+    Attributes
+    ----------
+    problem : LeastSquares
+        The problem, with the freed errors as parameters.
+    result : Result
+        Of this problem; its last parameters are the sizes.
+    found : ModelErrors or None
+        Directed tests of this result.
+    """
+
+    problem: LeastSquares
+    result: Result
+    found: ModelErrors | None
+
+
+class CorrectedPredictor:
+    """Predictor with directions (K, n_outputs, m) times sizes added to its outputs."""
+
+    def __init__(self, predictor: Any, directions: Floats) -> None:
+        self._predictor, self._directions = predictor, directions
+
+    def many(self, thetas: ArrayLike) -> FunctionPredictions:
+        """Simulate thetas (k, N_i + m); the last m numbers are sizes."""
+        given, count = np.asarray(thetas, dtype=np.float64), self._directions.shape[2]
+        found = self._predictor.many(np.ascontiguousarray(given[:, :-count]))
+        added = np.einsum("kjm,tm->tkj", self._directions, given[:, -count:])
+        return FunctionPredictions(found.outputs + added, tuple(found.errors))
+
+
+class CorrectedProblem(LeastSquares):
+    """A problem with model errors freed: its outputs plus directions times sizes."""
+
+    def __init__(self, base: LeastSquares, directions: Sequence[Direction], sizes: Mapping[str, Parameter]) -> None:
+        vars(self)["base"], vars(self)["freed"] = base, tuple(directions)
+        columns = [base.tables(base.unscaled(each.column)) for each in directions]
+        predictors = [
+            CorrectedPredictor(each, np.nan_to_num(np.stack([tables[i] for tables in columns], axis=2)))
+            for i, each in enumerate(base.predictors)
+        ]
+        given = {**base.given_parameters, **sizes}
+        super().__init__(predictors, base.experiments, given, noise=base.noise, joint_prior=base.joint_prior)
+
+    def directions(self, result: Result) -> tuple[Direction, ...]:
+        """Return the directions that are not freed."""
+        base: LeastSquares = vars(self)["base"]
+        taken = {(each.kind, each.subject) for each in vars(self)["freed"]}
+        found = base.directions(without_sizes(result, len(base.parameters)))
+        return tuple(each for each in found if (each.kind, each.subject) not in taken)
+
+
+def without_sizes(result: Result, count: int) -> Result:
+    """Return a result with its first parameters alone: the others are sizes of errors."""
+    local = result.fit.linearization
+    if local is not None:
+        local = replace(
+            local,
+            jacobian=local.jacobian[:, :count],
+            prior_jacobian=local.prior_jacobian[:, :count],
+            magnitudes=local.magnitudes[:count],
+        )
+    fit, check = replace(result.fit, linearization=local), result.accuracy
+    check = None if check is None else replace(check, shift=check.shift[:count])
+    return replace(result, estimates=_first(result.estimates, count), fit=fit, accuracy=check)
+
+
+def _first(found: Estimates, count: int) -> Estimates:
+    names = found.names[:count]
+    vectors = ("values", "start", "lower", "upper", "prior_mean", "prior_std", "variance_dof")
+    return replace(
+        found,
+        names=names,
+        **{name: getattr(found, name)[:count] for name in vectors},
+        covariance=found.covariance[:count, :count],
+        covariance_white_noise=found.covariance_white_noise[:count, :count],
+        at_bounds=tuple(each for each in found.at_bounds if each.name in names),
+    )
+
+
+def refit(problem: LeastSquares, result: Result, found: ModelErrors, progress: Progress | None = None) -> Refit | None:
+    """Identify again with the errors found as parameters; None if that does not converge.
+
+    Parameters
+    ----------
+    problem : LeastSquares
+        As simulated for the result.
+    result : Result
+        Of this problem.
+    found : ModelErrors
+        Its directed tests, with errors.
+    progress : callable, optional
+        Called with every `fmuid.events.SearchStep`.
+    """
+    others = found.errors[1:]
+    fits = []
+    for first in _candidates(found):
+        errors = [first, *(each for each in others if _key(each.test) != _key(first.test))]
+        fitted = _fit(problem, result, errors, progress)
+        fits += [] if fitted is None else [(errors, *fitted)]
+    if not fits:
+        return None
+    count = len(result.names)
+    likelihoods = _likelihoods([each[2] for each in fits])
+    errors, corrected, best = fits[int(np.argmax(likelihoods))]
+    # a dead time is not linear in its size: its likelihood says too little where its score is close
+    rough = [each[0][0].test.direction.kind is ErrorKind.DEAD_TIME for each in fits]
+    weights = np.where(rough, 1.0, np.exp(likelihoods - likelihoods.max()))
+    weights[weights < SETTINGS.least_weight] = 0.0
+    alternatives = tuple(
+        each[0][0].test.direction for each, w in zip(fits, weights, strict=True) if w and each[2] is not best
+    )
+    again = _averaged([each[2] for each in fits], best, weights / weights.sum(), count)
+    again = _continued(result, again, errors)
+    left = find_model_errors(corrected, again)
+    sized = zip(errors, again.values[count:].tolist(), again.std[count:].tolist(), strict=True)
+    freed = [replace(each, test=replace(each.test, size=size, std=std)) for each, size, std in sized]
+    freed[0] = replace(freed[0], alternatives=alternatives)
+    tests = found.tests if left is None else tuple(_of_model(each, count) for each in left.tests)
+    rest = () if left is None else tuple(replace(each, test=_of_model(each.test, count)) for each in left.errors)
+    return Refit(corrected, again, ModelErrors(result.names, tests, rest, freed=tuple(freed)))
+
+
+def _candidates(found: ModelErrors) -> list[ModelError]:
+    """Return the strongest error and those with close scores."""
+    first = found.errors[0]
+    least = SETTINGS.close_share * first.test.score**2
+    close = sorted((each for each in found.tests if each.score**2 > least), key=lambda each: -abs(each.score))
+    others = [ModelError(each) for each in close if _key(each) != _key(first.test)]
+    return [first, *others[: SETTINGS.most - 1]]
+
+
+def _key(test: DirectedTest) -> Key:
+    return test.direction.kind, test.direction.subject
+
+
+def _of_model(test: DirectedTest, count: int) -> DirectedTest:
+    """Return a test with shifts of the model's parameters alone."""
+    return replace(test, shift=test.shift[:count])
+
+
+def _fit(
+    problem: LeastSquares, result: Result, errors: Sequence[ModelError], progress: Progress | None
+) -> tuple[CorrectedProblem, Result] | None:
+    """Identify with errors as parameters, around the estimates of the fit before; None without convergence."""
+    sizes = {error_name(each): _size(each) for each in errors}
+    start = np.concatenate([result.values, [each.start for each in sizes.values()]])
+    count, now = len(result.names), result
+    again: Result | None = None
+    for _ in range(SETTINGS.fits):
+        directions = {(each.kind, each.subject): each for each in problem.directions(now)}
+        if not all(_key(each.test) in directions for each in errors):
+            return None
+        corrected = CorrectedProblem(problem, [directions[_key(each.test)] for each in errors], sizes)
+        again = Marquardt().search(Evaluator(corrected), progress, start)
+        if not again.converged or not np.isfinite(again.std).all():
+            return None
+        moved = np.abs(again.values - start) / again.std
+        start, now = again.values, without_sizes(again, count)
+        if moved.max() < SETTINGS.settled:
+            break
+    return None if again is None else (corrected, again)
+
+
+def _likelihoods(results: Sequence[Result]) -> Floats:
+    """Return the log-likelihoods of results under one noise model."""
+    spread = [[each.fit.noise_variance[name] for name in results[0].fit.noise_variance] for each in results]
+    best = results[int(np.argmin(np.sum(np.log(spread), axis=1)))]
+    noise, local = best.fit.noise, best.fit.linearization
+    assert noise is not None and local is not None, "fits keep their residuals"
+    rows = np.stack([_scaled(best, each) for each in results], axis=1)
+    return np.asarray(-0.5 * np.sum(whitened(noise, rows) ** 2, axis=0))
+
+
+def _scaled(best: Result, each: Result) -> Floats:
+    """Return counted residuals (n,) in standard deviations of the best result's noise."""
+    parts = []
+    for experiment, simulated in zip(best.fit.experiments, each.fit.simulated, strict=True):
+        levels = [best.fit.variance[name] ** 0.5 for name in experiment.output_names]
+        parts.append(((experiment.output_values - simulated) / levels)[experiment.counted])
+    return np.concatenate(parts)
+
+
+def _averaged(results: Sequence[Result], best: Result, weights: Floats, count: int) -> Result:
+    """Return the best result, its first `count` estimates averaged over all."""
+    values = np.array([each.values[:count] for each in results])
+    mean = weights @ values
+    away = values - mean
+    inner = np.einsum("k,kij->ij", weights, np.array([each.covariance[:count, :count] for each in results]))
+    found, covariance = best.estimates, best.covariance.copy()
+    covariance[:count, :count] = inner + (away.T * weights) @ away
+    own = np.concatenate([mean, best.values[count:]])
+    return replace(best, estimates=replace(found, values=own, covariance=covariance))
+
+
+def _continued(result: Result, again: Result, errors: Sequence[ModelError]) -> Result:
+    """Return a refit as the continuation of the search before."""
+    own, more = result.history, again.history
+    units = {error_name(each): each.test.direction.unit for each in errors if each.test.direction.unit}
+    history = replace(
+        own,
+        iterations=own.iterations + more.iterations,
+        simulations=own.simulations + more.simulations,
+        elapsed_s=own.elapsed_s + more.elapsed_s,
+    )
+    start = np.concatenate([result.estimates.start, again.estimates.start[len(result.names) :]])
+    return replace(
+        again,
+        estimates=replace(again.estimates, units={**result.estimates.units, **units}, start=start),
+        history=history,
+        setup=result.setup,
+        accuracy=None if result.accuracy is None else _checked(result.accuracy, result.std, again.std),
+    )
+
+
+def _checked(check: SolverCheck, before: Floats, after: Floats) -> SolverCheck:
+    """Return a solver check in the new standard deviations; sizes were not checked."""
+    shift = np.concatenate([check.shift * before / after[: len(before)], np.full(len(after) - len(before), np.nan)])
+    return replace(check, shift=shift)
+
+
+def error_name(error: ModelError) -> str:
+    """Return the parameter name of an error's size: ``delay(ids)``."""
+    direction = error.test.direction
+    return f"{direction.kind.value}({', '.join(direction.subject)})"
+
+
+def _size(error: ModelError) -> Parameter:
+    test = error.test
+    return Parameter(test.size, nominal=max(abs(test.size), test.std))

@@ -1,0 +1,230 @@
+"""Assumptions, model errors that were found, and those that could hide."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from fmuid.estimation import Doubt
+from fmuid.formatting import listed, two_digits, unit_text, with_std
+from fmuid.identification import DirectedTest, Direction, ErrorKind, ModelError, ModelErrors
+from fmuid.reports.chart import Axis, Chart, Data, Layer, rows_of
+from fmuid.reports.document import DETAIL, PAGE, Message, Remark, Section, doubt, plain, table_of_rows
+
+SHOWN_EXPOSURES = 12
+"""Errors in table and figure: those that move an estimate most."""
+VERBOSE = DETAIL | PAGE
+HIDING_CAPTION = (
+    "Shift of the most affected estimate by an error of usual size, and by the largest error that would not show. "
+    "An error shows if the directed tests name it in 95 % of records."
+)
+
+
+class ModelErrorMessage(Message, section="hiding"):
+    """Model errors that the directed tests name, by `ErrorKind`."""
+
+    DELAY = doubt("{first} late by {size}", "sensor filters, or channels sampled one after the other", "Set the delay.")
+    ADVANCE = doubt("{first} early by {size}", "the clock of the outputs runs ahead", "Shift the time of {first}.")
+    INPUT_DELAY = doubt("{first} late by {size}", "the input acts later than recorded", "Shift the time of {first}.")
+    INPUT_ADVANCE = doubt("{first} early by {size}", "the input acts before its record", "Shift the time of {first}.")
+    INTERPOLATION = doubt(
+        "interpolation of {first} is wrong", "held where linear was assumed, or the reverse", "Change `interpolation`."
+    )
+    OFFSET = doubt("offset of {first} is {size}", "a sensor's zero", "Remove it with `preprocess`, or free it.")
+    INPUT_OFFSET = doubt("offset of {first} is {size}", "a sensor's zero", "Remove it with `preprocess`.")
+    GAIN = doubt("gain of {first} is off by {size}", "a sensor's calibration", "Calibrate {first}.")
+    INPUT_GAIN = doubt("gain of {first} is off by {size}", "a sensor's calibration", "Calibrate {first}.")
+    DEAD_TIME = doubt(
+        "{inputs} lacks {size} against the sign of {outputs}",
+        "an inverter's dead time, or friction",
+        "Model the dead time, or measure the voltage at the machine.",
+    )
+    SATURATION = doubt(
+        "{first} depends on amplitude ({size} at the largest {others})",
+        "saturation: the estimate belongs to the amplitude of the record",
+        "Let {first} depend on the amplitude, or record at one amplitude.",
+    )
+    STATE_DEPENDENCE = doubt(
+        "{first} depends on {others} ({size} at the largest)",
+        "saturation: the estimate belongs to the amplitude of the record",
+        "Let {first} depend on {others}, or record at one amplitude.",
+    )
+    DRIFT = doubt("{first} drifts by {size}", "temperature, or wear", "Shorten the record, or model the drift.")
+    STEP = doubt("{first} changes by {size} at half time", "the machine changed", "Split the record.")
+    INITIAL_STATE = doubt("initial {first} is off by {size}", "the record starts in motion", "Set a longer `warmup`.")
+    FIXED = doubt("fixed {first} is off by {size}", "its value is not that of the machine", "Free {first}.")
+
+
+class HidingMessage(Message, section="hiding"):
+    """Model errors that were tested, and those that the data cannot show."""
+
+    SHIFT = doubt("{error}: {name} moves by {shift} σ (p = {probability}).", "a directed test names this model error")
+    FREED = plain("Freed in this result: {error}.", "the size is a parameter of the fit; intervals include it")
+    ALTERNATIVES = plain("The data cannot tell it from: {alternatives}.", "these errors explain the residual as well")
+    NONE = plain(
+        "No model error found in {count} directions (level {level}).",
+        "directed tests of sensors, clocks, inputs, parameters and states",
+    )
+    HIDDEN = plain(
+        "Could hide: {error} of {usual} moves {name} by {shift} σ; shows from {detectable}.",
+        "the largest shift by an error of usual size that the data would not show",
+    )
+    UNTESTABLE = plain(
+        "Not testable: {error}; {usual} moves {name} by {shift} σ.", "the parameters make up for this error"
+    )
+
+
+def size_text(direction: Direction, size: float, std: float = math.nan) -> str:
+    """Return a size with σ and unit."""
+    scale, unit = (100.0, "%") if direction.kind.is_relative else (1.0, unit_text(direction.unit))
+    shown = with_std(scale * size, scale * std) if math.isfinite(std) else two_digits(scale * size)
+    return f"{shown} {unit}".strip()
+
+
+def error_names(direction: Direction) -> str:
+    """Return a short name of an error: ``gain of ids``."""
+    subject, kind = direction.subject, direction.kind
+    if kind is ErrorKind.DEAD_TIME:
+        subject = subject[: len(subject) // 2]
+    elif kind in (ErrorKind.SATURATION, ErrorKind.STATE_DEPENDENCE):
+        subject = subject[:1]
+    return f"{kind.value.replace('_', ' ')} of {listed(subject)}"
+
+
+def _fields(kind: ErrorKind, subject: Sequence[str], size: str) -> dict[str, str]:
+    half = len(subject) // 2
+    whole = kind in (ErrorKind.DELAY, ErrorKind.ADVANCE)
+    return {
+        "first": _joined(subject if whole else subject[:1]),
+        "others": _joined(subject[1:]),
+        "inputs": _joined(subject[:half]),
+        "outputs": _joined(subject[half:]),
+        "size": size,
+    }
+
+
+def _joined(names: Sequence[str]) -> str:
+    return listed(names) if names else ""
+
+
+def error_words(found: Doubt) -> str:
+    """Return a model error of a verdict."""
+    kind, direction = ErrorKind(found.subject[0]), _direction(found)
+    size = size_text(direction, abs(found.values["size"]), found.values["std"])
+    return ModelErrorMessage[kind.name].text.format(**_fields(kind, direction.subject, size))
+
+
+def error_remedy(found: Doubt) -> str:
+    """Return the remedy of a model error of a verdict."""
+    direction = _direction(found)
+    return ModelErrorMessage[direction.kind.name].remedy.format(**_fields(direction.kind, direction.subject, ""))
+
+
+def _direction(found: Doubt) -> Direction:
+    kind, _, unit, *subject = found.subject
+    return Direction(ErrorKind(kind), tuple(subject), unit, math.nan)
+
+
+def _error_text(error: ModelError) -> str:
+    test, direction = error.test, error.test.direction
+    size = size_text(direction, test.size, test.std)
+    return ModelErrorMessage[direction.kind.name].text.format(**_fields(direction.kind, direction.subject, size))
+
+
+def model_error_remarks(found: ModelErrors | None) -> list[Remark]:
+    """Return the model errors found, or what could hide."""
+    if found is None:
+        return []
+    said = [HidingMessage.FREED.said(error=_error_text(each)) for each in found.freed]
+    for each in found.errors:
+        i, shift = each.test.most
+        values = {"error": _error_text(each), "name": found.names[i], "shift": f"{shift * abs(each.test.size):.2g}"}
+        said.append(HidingMessage.SHIFT.said(**values, probability=f"{each.test.probability:.1g}"))
+        if each.alternatives:
+            said.append(HidingMessage.ALTERNATIVES.said(alternatives=listed([*map(error_names, each.alternatives)])))
+    if not found.errors:
+        tested = sum(each.is_testable for each in found.tests)
+        said.append(HidingMessage.NONE.said(count=tested, level=f"{100 * found.level:g} %"))
+    hidden = hidden_test(found)
+    return said if hidden is None else [*said, hidden_remark(found, hidden)]
+
+
+def hidden_test(found: ModelErrors) -> DirectedTest | None:
+    """Return the usual error that could hide and moves an estimate most."""
+    named = {(each.test.direction.kind, each.test.direction.subject) for each in (*found.errors, *found.freed)}
+    for each in found.exposures:
+        if each.most[1] * each.direction.usual < 0.1:
+            break
+        if each.detectable > each.direction.usual and (each.direction.kind, each.direction.subject) not in named:
+            return each
+    return None
+
+
+def hidden_remark(found: ModelErrors, test: DirectedTest) -> Remark:
+    """Return what an error of usual size would do."""
+    i, shift = test.most
+    direction = test.direction
+    values = {"error": error_names(direction), "usual": size_text(direction, direction.usual), "name": found.names[i]}
+    values["shift"] = two_digits(shift * direction.usual)
+    if not test.is_testable:
+        return HidingMessage.UNTESTABLE.said(**values)
+    return HidingMessage.HIDDEN.said(**values, detectable=size_text(direction, test.detectable))
+
+
+def hiding_section(found: ModelErrors | None) -> list[Section]:
+    """Return what could hide: table and figure."""
+    if found is None:
+        return []
+    tests = [each for each in found.exposures if each.most[1] * each.direction.usual > 0.01][:SHOWN_EXPOSURES]
+    if not tests:
+        return []
+    rows = []
+    for each in tests:
+        i, shift = each.most
+        shows = size_text(each.direction, each.detectable) if each.is_testable else "not testable"
+        until = f"{two_digits(each.hidden)} σ" if each.is_testable else "without limit"
+        usual = f"{found.names[i]} by {two_digits(shift * each.direction.usual)} σ"
+        rows.append((error_names(each.direction), size_text(each.direction, each.direction.usual), usual, shows, until))
+    table = table_of_rows(
+        ("error", "usual size", "moves", "shows from", "moves until then"), rows, ("usual size", "moves", "shows from")
+    )
+    return [
+        Section("hiding", "What could hide", HIDING_CAPTION, table=table, charts=(_hiding_chart(tests),), shown=VERBOSE)
+    ]
+
+
+def _hiding_chart(tests: Sequence[DirectedTest]) -> Chart:
+    names = tuple(error_names(each.direction) for each in tests)
+    usual = np.array([each.most[1] * each.direction.usual for each in tests])
+    until = np.array([each.hidden for each in tests])
+    testable = np.isfinite(until)
+    shown: Data = {"x": usual, "y": names}
+    ends: Data = {"x": until[testable], "y": tuple(np.array(names)[testable])}
+    open_ends: Data = {"x": usual[~testable], "y": tuple(np.array(names)[~testable])}
+    layers = [
+        Layer("points", shown, "blue", size=9, label="usual size", hover=(("shift", "@x{0.00} σ"),)),
+        Layer("points", ends, "amber", size=10, marker="bar", label="shows beyond", hover=(("shift", "@x{0.00} σ"),)),
+        Layer("points", open_ends, "red", size=9, marker="x", label="not testable"),
+        Layer("rule", {"x": np.array([1.0])}, "grey", dash="dashed"),
+    ]
+    return rows_of(names, Axis("shift of the most affected estimate, σ", "log"), layers, 110)
+
+
+def assumed_section(found: ModelErrors | None, rows: Sequence[tuple[str, str, str]]) -> list[Section]:
+    """Return what was assumed: fixed parameters with their effect, and `rows` of what, value and effect."""
+    fixed = [] if found is None else [each for each in found.exposures if each.direction.kind is ErrorKind.FIXED]
+    cells = [
+        (
+            f"{each.direction.subject[0]} fixed",
+            f"{each.direction.value:.6g}",
+            f"{size_text(each.direction, each.direction.usual)} moves {found.names[each.most[0]]} by "
+            f"{two_digits(each.most[1] * each.direction.usual)} σ",
+        )
+        for each in fixed
+        if found is not None
+    ]
+    cells += list(rows)
+    table = table_of_rows(("assumption", "value", "effect"), cells, ("value", "effect"))
+    return [Section("assumed", "What was assumed", table=table, shown=VERBOSE)] if cells else []

@@ -1,0 +1,309 @@
+"""Directions of model errors, their tests and refits, on records of a coil in closed form or by scipy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+from scipy.special import ndtr
+
+import fmuid
+from fmuid import codec
+from fmuid.array_types import Floats
+from fmuid.estimation import Grade, Reason, Result
+from fmuid.identification import Assessment, ErrorKind, ModelErrors, Problem, assess, find_model_errors, judge, refit
+from fmuid.identification.directed_tests import largest_scores, probability_of
+from fmuid.identification.linearized_record import LinearizedRecord, exponentials
+from tests.support.paths import FMUS
+
+COIL, R, L, STEP, COUNT = FMUS / "Coil" / "Coil.fmu", 4.0, 0.1, 0.002, 1000
+TIMES = STEP * np.arange(COUNT)
+
+
+@cache
+def _largest(voltages: bytes) -> float:
+    return float(np.abs(closed(np.frombuffer(voltages))).max())
+
+
+def _top(u: Floats) -> float:
+    return _largest(u.tobytes())
+
+
+def held_voltage(rng: np.random.Generator) -> Floats:
+    return 12.0 * np.repeat(rng.choice([-1.0, 0.0, 1.0], COUNT // 15 + 2), 15)[:COUNT]
+
+
+def integrated(u: Floats, rate: Callable[[float, float, float], float], *, start: float = 0.0) -> Floats:
+    """Return the current (K,) by scipy, interval by interval of the held voltage; `rate` is di/dt of t, i, u."""
+    found = [start]
+    for k in range(len(u) - 1):
+        span = TIMES[k], TIMES[k + 1]
+        solved = solve_ivp(_rate(rate, float(u[k])), span, found[-1:], rtol=1e-9, atol=1e-12)
+        found.append(float(solved.y[0, -1]))
+    return np.array(found)
+
+
+def _rate(rate: Callable[[float, float, float], float], voltage: float) -> Callable[[float, Floats], Sequence[float]]:
+    return lambda t, x: [rate(t, float(x[0]), voltage)]
+
+
+def closed(u: Floats, delay: float = 0.0) -> Floats:
+    """Return the current (K,) of the held voltage, read `delay` samples late."""
+    decay, found = np.exp(-R / L * STEP), np.zeros(len(u))
+    for k in range(len(u) - 1):
+        found[k + 1] = decay * found[k] + (1.0 - decay) / R * u[k]
+    part = np.exp(-R / L * STEP * (1.0 - delay))
+    late = np.concatenate([[0.0], part * found[:-1] + (1.0 - part) / R * u[:-1]])
+    return late if delay else found
+
+
+def problem_of(u: Floats, i: Floats, interpolation: str = "zoh") -> Problem:
+    frame = pd.DataFrame({"time": TIMES, "u": u, "i": i})
+    experiment = fmuid.Experiment(frame, ["u"], ["i"], interpolation=interpolation)
+    parameters = {"R": fmuid.Parameter(3.0, min=0.0), "L": fmuid.Parameter(0.03, min=1e-4)}
+    return fmuid.Problem(COIL, experiment, parameters)
+
+
+@cache
+def identified(scene: str, seed: int = 0) -> tuple[Problem, Result]:
+    """Return a record of 1000 samples with the noise of an ordinary sensor, and its result."""
+    rng = np.random.default_rng([31, seed])
+    u = held_voltage(rng)
+    sound = closed(u)
+    level = np.sqrt(np.mean(sound**2) / 30)
+    noise = rng.standard_normal(COUNT)
+    made: dict[str, Callable[[], Floats]] = {
+        "half a sample late": lambda: closed(u, 0.5),
+        "dead time": lambda: integrated(u, lambda _, x, v: (v - 1.2 * np.tanh(x / 0.05) - R * x) / L),
+        "offset": lambda: sound + 0.3 * level,
+    }
+    i = made[scene]() if scene in made else sound
+    if scene == "colored":
+        for k in range(1, COUNT):
+            noise[k] = 0.6 * noise[k - 1] + 0.8 * noise[k]
+    problem = problem_of(u, i + level * noise)
+    return problem, fmuid.identify(problem)
+
+
+def problem_noise() -> Floats:
+    return 0.1 * np.random.default_rng(1).standard_normal(COUNT)
+
+
+def found_in(scene: str) -> ModelErrors:
+    problem, result = identified(scene)
+    found = find_model_errors(problem, result)
+    assert found is not None
+    return found
+
+
+# --- directions
+
+
+DIRECTIONS: dict[tuple[ErrorKind, tuple[str, ...]], Callable[[Floats, float], Floats]] = {
+    (ErrorKind.OFFSET, ("i",)): lambda u, h: closed(u) + h,
+    (ErrorKind.GAIN, ("i",)): lambda u, h: closed(u) * (1.0 + h),
+    (ErrorKind.DELAY, ("i",)): lambda u, h: closed(u, h),
+    (ErrorKind.INPUT_OFFSET, ("u",)): lambda u, h: closed(u + h),
+    (ErrorKind.INPUT_GAIN, ("u",)): lambda u, h: closed(u * (1.0 + h)),
+    (ErrorKind.INITIAL_STATE, ("i",)): lambda u, h: closed(u) + h * np.exp(-R / L * TIMES),
+    (ErrorKind.DEAD_TIME, ("u", "i")): lambda u, h: integrated(
+        u, lambda _, x, v: (v - h * np.tanh(x / (0.02 * _top(u))) - R * x) / L
+    ),
+    (ErrorKind.DRIFT, ("R",)): lambda u, h: integrated(
+        u, lambda t, x, v: (v - R * (1.0 + h * (t / TIMES[-1] - 0.5)) * x) / L
+    ),
+    (ErrorKind.SATURATION, ("R", "i")): lambda u, h: integrated(
+        u, lambda _, x, v: (v - R * (1.0 + h * (x / _top(u)) ** 2) * x) / L
+    ),
+    (ErrorKind.INTERPOLATION, ("u",)): lambda u, h: integrated_linear(u, h),
+}
+
+
+def integrated_linear(u: Floats, share: float) -> Floats:
+    """Return the current where the voltage goes this share of the way from held to linear."""
+    slopes = np.append(share * np.diff(u) / STEP, 0.0)
+    return integrated(u, lambda t, x, v: (v + slopes[int(t / STEP + 1e-6)] * (t % STEP) - R * x) / L)
+
+
+@pytest.mark.parametrize("key", DIRECTIONS, ids=lambda key: f"{key[0].value} of {', '.join(key[1])}")
+def test_columns_are_the_slopes_of_the_equations(key: tuple[ErrorKind, tuple[str, ...]]) -> None:
+    u = held_voltage(np.random.default_rng(5))
+    problem = problem_of(u, closed(u) + 1e-3 * np.random.default_rng(6).standard_normal(COUNT))
+    result = fmuid.identify(problem)
+    found = {(each.kind, each.subject): each for each in problem.directions(result)}[key]
+    size = 0.5 if key[0] is ErrorKind.DELAY else 1e-3
+    slope = (DIRECTIONS[key](u, size) - closed(u)) / size
+    jacobian = problem.measured * 0.0
+    if key[0] in (ErrorKind.DRIFT, ErrorKind.SATURATION):  # the parameter is its value where the record sees it
+        jacobian = -result.fit.linearization.jacobian[:, 0]  # type: ignore[union-attr]
+        jacobian = jacobian / np.linalg.norm(jacobian)
+    left = [each - jacobian * (jacobian @ each) for each in (found.column, slope)]
+    assert np.linalg.norm(left[0] - left[1]) < 0.02 * np.linalg.norm(left[1])
+
+
+def test_exponentials_are_those_of_scipy() -> None:
+    matrices = np.random.default_rng(1).normal(size=(5, 3, 3)) * np.array([1e-3, 0.1, 1.0, 5.0, 20.0])[:, None, None]
+    e, one, two = exponentials(matrices)
+    for k, matrix in enumerate(matrices):
+        block = np.zeros((9, 9))
+        block[:3, :3], block[:3, 3:6], block[3:6, 6:] = matrix, np.eye(3), np.eye(3)
+        whole = expm(block)
+        for own, other in ((e[k], whole[:3, :3]), (one[k], whole[:3, 3:6]), (two[k], whole[:3, 6:])):
+            np.testing.assert_allclose(own, other, rtol=1e-7, atol=1e-7 * np.abs(other).max())
+
+
+def test_linearized_sensitivities_are_those_of_simulations() -> None:
+    machine = fmuid.datasets.induction_machine().problem()
+    result = fmuid.identify(machine)
+    local = result.fit.linearization
+    assert local is not None
+    record = LinearizedRecord.of(machine.as_in(result).simulators[0], result.values)
+    assert record is not None
+    std = np.sqrt([result.fit.variance[name] for name in machine.output_names])
+    for own, column in zip(record.sensitivities / std, -local.jacobian.T, strict=True):
+        assert np.linalg.norm(own.ravel() - column) < 0.02 * np.linalg.norm(column)  # A is constant in an interval
+
+
+# --- tests
+
+
+def test_probability_of_the_largest_score() -> None:
+    null = largest_scores(np.eye(10))
+    for score in (2.5, 3.2, 4.5):
+        single = 2.0 * float(ndtr(-score))
+        assert probability_of(null, score) == pytest.approx(1.0 - (1.0 - single) ** 10, rel=0.25)
+    alike = largest_scores(np.ones((10, 10)))
+    assert probability_of(alike, 3.2) < 0.3 * probability_of(null, 3.2)  # one test in ten guises
+
+
+@pytest.mark.parametrize(
+    ("scene", "kind"),
+    [
+        ("sound", None),
+        ("colored", None),
+        ("half a sample late", ErrorKind.DELAY),
+        ("dead time", ErrorKind.DEAD_TIME),
+        ("offset", ErrorKind.OFFSET),
+    ],
+)
+def test_errors_are_named_and_color_is_none(scene: str, kind: ErrorKind | None) -> None:
+    found = found_in(scene)
+    if kind is None:
+        assert not found.errors and found.covers_dynamics
+        return
+    assert kind in found.errors[0].kinds
+    test = found.errors[0].test
+    assert test.probability < 0.01 and abs(test.score) > 3.0
+
+
+def test_exposures_tell_what_an_unseen_error_would_do() -> None:
+    found = found_in("sound")
+    late = next(each for each in found.tests if each.direction.kind is ErrorKind.DELAY)
+    problem, result = identified("sound")
+    u = problem.experiments[0].input_values[:, 0]
+    other = fmuid.identify(problem_of(u, problem.measured + closed(u, 0.3) - closed(u)))
+    shift = (other.values - result.values) / result.std
+    np.testing.assert_allclose(0.3 * late.shift, shift, rtol=0.2, atol=0.05)
+    assert late.std < late.detectable < 10.0 * late.std
+
+
+def test_nothing_is_tested_without_noise_or_with_a_robust_loss() -> None:
+    u = held_voltage(np.random.default_rng(5))
+    exact = problem_of(u, closed(u))
+    assert find_model_errors(exact, fmuid.identify(exact)) is None
+    frame = exact.experiments[0].frame
+    robust = fmuid.Problem(
+        COIL,
+        fmuid.Experiment(frame, ["u"], ["i"], interpolation="zoh"),
+        exact.given_parameters,
+        loss="huber",
+    )
+    assert find_model_errors(robust, fmuid.identify(robust)) is None
+    function = fmuid.estimation.LeastSquares.from_function(
+        lambda p: p[0] * TIMES,
+        TIMES + 0.1 * np.random.default_rng(1).standard_normal(COUNT),
+        {"a": fmuid.Parameter(2.0)},
+    )
+    assert find_model_errors(function, fmuid.identify(function)) is None
+
+
+# --- refit
+
+
+def test_refit_frees_a_delay() -> None:
+    problem, result = identified("half a sample late")
+    assert (np.abs(result.values - [R, L]) > 2.0 * result.std).any()
+    again = refit(problem.as_in(result), result, found_in("half a sample late"))
+    assert again is not None and again.found is not None and not again.found.errors
+    (freed,) = again.found.freed
+    assert freed.test.size == pytest.approx(0.5, abs=3.0 * freed.test.std) and freed.test.std < 0.15
+    assert (np.abs(again.result.values[:2] - [R, L]) < 3.0 * again.result.std[:2]).all()
+    assert again.result.names == ("R", "L", "delay(i)") and again.found.names == ("R", "L")
+
+
+def test_alternatives_widen_intervals() -> None:
+    problem, result = identified("dead time")
+    again = refit(problem.as_in(result), result, found_in("dead time"))
+    assert again is not None and again.found is not None
+    freed = again.found.freed[0]
+    assert ErrorKind.DEAD_TIME in freed.kinds
+    verdict = judge(result, Assessment(model_errors=again.found))
+    assert verdict.freed and verdict.reasons == (Reason.MODEL_ERROR,)  # a dead time is not linear in its size
+
+
+# --- verdict
+
+
+def test_color_alone_is_no_doubt_where_the_model_was_tested() -> None:
+    problem, result = identified("colored")
+    checks = assess(problem, result)
+    assert judge(result, checks).grade is Grade.PASSED
+    assert Reason.COLORED_RESIDUAL in judge(result, Assessment(residuals=checks.residuals)).reasons
+
+
+@pytest.mark.parametrize("mode", ["refit", "report", "off"])
+def test_a_study_frees_reports_or_ignores_errors(tmp_path: Path, mode: str) -> None:
+    problem, _ = identified("half a sample late")
+    problem.experiments[0].frame.to_csv(tmp_path / "late.csv", index=False)
+    study = fmuid.Study.of(
+        {
+            "model": {"fmu": str(COIL)},
+            "experiments": [{"data": "late.csv", "inputs": ["u"], "outputs": ["i"], "interpolation": "zoh"}],
+            "parameters": {"R": {"start": 3.0, "min": 0.0}, "L": {"start": 0.03, "min": 1e-4}},
+            "estimation": {"model_error": mode},
+        },
+        tmp_path / "study.toml",
+    )
+    found = fmuid.run(study, tmp_path / "results")
+    verdict, errors = found.result.verdict, found.assessment.model_errors
+    assert found.result.names == ("R", "L")
+    assert (errors is None) == (mode == "off")
+    assert (Reason.MODEL_ERROR in verdict.reasons) == (mode == "report")
+    assert bool(verdict.freed) == (mode == "refit")
+    inside = [low < true < high for true, (low, high) in zip((R, L), found.intervals["local"].values(), strict=True)]
+    assert all(inside) == (mode == "refit")
+    text = str(fmuid.Document.of(found).reason)
+    assert ("i late by" in text) == (mode != "off")
+    kept = codec.read(tmp_path / "results" / "result.json", "fmuid/result/2", type(found), "")
+    assert kept.result.verdict == verdict
+    again = kept.assessment.model_errors
+    assert (again is None) == (errors is None)
+    if again is not None and errors is not None:
+        assert [each.direction.kind for each in again.tests] == [each.direction.kind for each in errors.tests]
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("scene", ["sound", "colored"])
+def test_false_alarms_of_all_tests_together(scene: str) -> None:
+    alarms = 0
+    for seed in range(400):
+        problem, result = identified.__wrapped__(scene, seed)
+        found = find_model_errors(problem, result)
+        alarms += bool(found is not None and found.errors)
+    assert alarms <= 10  # 1 % of 400 by the exact binomial test at 0.1 %
