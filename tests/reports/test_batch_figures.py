@@ -80,6 +80,8 @@ def test_starting_points_and_their_optima() -> None:
     near(best, np.full(13, 0.01))  # the floor
     assert above.x.label.endswith("1 not converged")
     assert (ends.x.label, ends.x.kind) == ("initial guess of R", "log")
+    low, high = ends.y.reach
+    assert low is not None and high is not None and low < 2.0 < 4.0 < high
 
 
 def test_distributions_are_densities() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, replace
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -26,11 +27,13 @@ from fmuid.estimation import (
 from fmuid.estimation.covariance import ActiveBound
 from fmuid.files import file_name
 from fmuid.formatting import bounded, rounded, with_std
+from fmuid.identification import ResidualDefect
 from fmuid.identification.prior_and_data import ExtrapolationReason
 from fmuid.models import SolverConfiguration
 from fmuid.reports.document import Message, Remark, doubt
 from fmuid.reports.topics import uncertainty
 from fmuid.reports.topics.prior_and_data import obstacle_remark
+from fmuid.reports.topics.residual_analysis import residual_phrases
 from fmuid.reports.topics.solver_check import shift_text
 from fmuid.reports.topics.termination import state_and_reason
 from fmuid.runs.findings import at_minimum
@@ -124,6 +127,21 @@ def test_message_fills_text_and_remedy() -> None:
     other = Sample.ONE.said("cost", "plain", name="x", value=3)
     assert (other.tone, other.section) == ("plain", "cost")
     assert str(Remark("Alone.")) == "Alone."
+
+
+def test_residuals_in_one_line() -> None:
+    strong = SimpleNamespace(strongest=(1, 0.7))
+    series = SimpleNamespace(output="i", experiment="a", is_tested=True, samples=600, inputs=(), whiteness=strong)
+    colored = SimpleNamespace(trait=ResidualDefect.COLORED, series=series, input=None, large=True)
+    shifted = SimpleNamespace(trait=ResidualDefect.OFFSET, series=series, input=None, large=True)
+    for findings, returning, said in (
+        ((), (), "white (600 samples)"),
+        ((), (1,), "white; periodic"),
+        ((shifted,), (), "white; offset (i)"),
+        ((colored,), (), "colored (i 0.70)"),
+    ):
+        found: Any = SimpleNamespace(findings=findings, returning=returning, series=(series,), widening={})
+        assert residual_phrases(found) == said
 
 
 # --- numbers

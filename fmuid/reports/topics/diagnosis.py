@@ -67,8 +67,7 @@ class DiagnosisMessage(Message, section="causes"):
     """Verdict of a diagnosis, and its notes."""
 
     FAULT = plain("FAULT: {causes} (p = {p}).", "p: probability of such a change without a fault")
-    EQUAL_FAULTS = plain("FAULT, indistinguishable: {causes} (p = {p}).", remedy="Use another excitation.")
-    EQUAL_CAUSES = plain("CHANGE, indistinguishable: {causes} (p = {p}).", remedy="Use another excitation.")
+    EQUAL = plain("{kind}, indistinguishable: {causes} (p = {p}).", remedy="Use another excitation.")
     CHANGE = plain("CHANGE without fault: {causes} (p = {p}).")
     UNEXPLAINED = plain(
         "UNEXPLAINED CHANGE: residual variance is {ratio:.3g} × baseline{even} (p = {p}).",
@@ -148,8 +147,8 @@ def verdict(found: Diagnosis) -> Remark:
         how = DiagnosisMessage.UNEXPLAINED if from_result else DiagnosisMessage.UNEXPLAINED_INPUTS
     elif found.kind == "ambiguous":
         given["causes"] = " or ".join(said)
-        faults = all(each.faults for each in evidence.explanations)
-        how = DiagnosisMessage.EQUAL_FAULTS if faults else DiagnosisMessage.EQUAL_CAUSES
+        given["kind"] = "FAULT" if all(each.faults for each in evidence.explanations) else "CHANGE"
+        how = DiagnosisMessage.EQUAL
     elif evidence.alarm:
         given["causes"] = said[0]
         how = DiagnosisMessage.FAULT if found.kind == "fault" else DiagnosisMessage.CHANGE
