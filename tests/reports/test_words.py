@@ -142,6 +142,11 @@ def test_residuals_in_one_line() -> None:
     ):
         found: Any = SimpleNamespace(findings=findings, returning=returning, series=(series,), widening={})
         assert residual_phrases(found) == said
+    series.inputs = (SimpleNamespace(input="u"),)
+    found.findings, found.returning = (), ()
+    assert residual_phrases(found) == "white; not correlated with u (600 samples)"
+    found.findings = (SimpleNamespace(trait=None, series=series, input=series.inputs[0], large=True),)
+    assert residual_phrases(found) == "white; correlated with u"
 
 
 # --- numbers
