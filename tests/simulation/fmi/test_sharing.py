@@ -74,7 +74,7 @@ def _four_threads(monkeypatch: pytest.MonkeyPatch) -> None:
         ({"tool": "fmuid", "needsExecutionTool": "true"}, False),
     ],
 )
-@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("version", first(1, [3, 2]))
 def test_threads_are_for_fmus_that_are_known_to_bear_them(
     tmp_path: Path, said: dict[str, Any], expected: bool, version: int
 ) -> None:
