@@ -206,7 +206,7 @@ def _hiding_chart(tests: Sequence[DirectedTest]) -> Chart:
     layers = [
         Layer("points", shown, "blue", size=9, label="usual size", hover=(("shift", "@x{0.00} σ"),)),
         Layer("points", ends, "amber", size=10, marker="bar", label="shows beyond", hover=(("shift", "@x{0.00} σ"),)),
-        Layer("points", open_ends, "red", size=9, marker="x", label="not testable"),
+        *([] if testable.all() else [Layer("points", open_ends, "red", size=9, marker="x", label="not testable")]),
         Layer("rule", {"x": np.array([1.0])}, "grey", dash="dashed"),
     ]
     return rows_of(names, Axis("shift of the most affected estimate, σ", "log"), layers, 110)
