@@ -162,9 +162,15 @@ def _input_change(record: LinearizedRecord, column: int, change: Floats) -> Forc
     return Forcing(record.by_input[column] * change[:, None], direct)
 
 
+def _sum_of(parts: Sequence[Forcing]) -> Forcing:
+    """Return the sum of changes of inputs."""
+    rates, outputs = (np.sum([getattr(each, part) for each in parts], axis=0) for part in ("rates", "outputs"))
+    return Forcing(rates, outputs)
+
+
 def _of_inputs(record: LinearizedRecord, units: Mapping[str, str]) -> Iterator[tuple[_Column, Forcing]]:
-    """Yield errors of the inputs."""
-    experiment = record.experiment
+    """Yield errors of the inputs; interpolation also of all that are held, or are not."""
+    experiment, alike = record.experiment, dict[bool, dict[str, Forcing]]()
     for j, name in enumerate(experiment.input_names):
         values, ends = experiment.input_values[:, j], record.input_ends[:, j]
         if not values.any():
@@ -176,9 +182,14 @@ def _of_inputs(record: LinearizedRecord, units: Mapping[str, str]) -> Iterator[t
         if not rise.any():
             continue
         between[1::2] = rise if experiment.held[j] else -rise  # linear in place of held, or held in place of linear
-        yield _made(ErrorKind.INTERPOLATION, (name,), "", 1.0, True), _input_change(record, j, between)
+        changed = _input_change(record, j, between)
+        alike.setdefault(bool(experiment.held[j]), {})[name] = changed
+        yield _made(ErrorKind.INTERPOLATION, (name,), "", 1.0, True), changed
         if len(experiment.input_names) > 1:
             yield from _input_delays(record, j, rise)
+    for parts in alike.values():
+        if len(parts) > 1:
+            yield _made(ErrorKind.INTERPOLATION, tuple(parts), "", 1.0, True), _sum_of(list(parts.values()))
     yield from _dead_times(record, units)
 
 
@@ -210,10 +221,9 @@ def _dead_times(record: LinearizedRecord, units: Mapping[str, str]) -> Iterator[
             continue
         along = -signs(record.ends[:, list(own.values())])
         parts = [_input_change(record, j, along[:, i]) for i, j in enumerate(own)]
-        rates, outputs = (np.sum([getattr(each, part) for each in parts], axis=0) for part in ("rates", "outputs"))
         names = tuple(experiment.input_names[j] for j in own) + tuple(experiment.output_names[k] for k in own.values())
         usual = SETTINGS.share * _rms(experiment.input_values[:, list(own)])
-        yield _made(ErrorKind.DEAD_TIME, names, unit, usual), Forcing(rates, outputs)
+        yield _made(ErrorKind.DEAD_TIME, names, unit, usual), _sum_of(parts)
 
 
 def signs(signals: Floats) -> Floats:

@@ -28,12 +28,14 @@ class RefitSettings:
     fits: int = 3  # directions are taken at the estimates of the fit before
     close_share: float = 0.6  # of the strongest score²: directions that fits tell apart, not linear scores
     most: int = 4  # directions fitted in turn
+    significant: float = 3.0  # σ; errors that are smaller beside the others are not freed
     settled: float = 0.01  # σ; estimates that move less end it
     least_weight: float = 0.02  # of a alternative in the average
 
 
 SETTINGS = RefitSettings()
 Key = tuple[ErrorKind, tuple[str, ...]]
+Fitted = tuple[list[ModelError], "CorrectedProblem", Result, tuple[Direction, ...]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,8 +138,8 @@ def refit(problem: LeastSquares, result: Result, found: ModelErrors, progress: P
     fits = []
     for first in _candidates(found):
         errors = [first, *(each for each in others if _key(each.test) != _key(first.test))]
-        fitted = _fit(problem, result, errors, progress)
-        fits += [] if fitted is None else [(errors, *fitted)]
+        made = _fit(problem, result, errors, progress)
+        fits += [] if made is None else [(errors, *made)]
     if not fits:
         return None
     count = len(result.names)
@@ -151,6 +153,8 @@ def refit(problem: LeastSquares, result: Result, found: ModelErrors, progress: P
         each[0][0].test.direction for each, w in zip(fits, weights, strict=True) if w and each[2] is not best
     )
     again = _averaged([each[2] for each in fits], best, weights / weights.sum(), count)
+    pruned = _pruned(problem, result, (errors, corrected, again, alternatives), progress)
+    errors, corrected, again, alternatives = pruned
     again = _continued(result, again, errors)
     left = find_model_errors(corrected, again)
     sized = zip(errors, again.values[count:].tolist(), again.std[count:].tolist(), strict=True)
@@ -159,6 +163,16 @@ def refit(problem: LeastSquares, result: Result, found: ModelErrors, progress: P
     tests = found.tests if left is None else tuple(_of_model(each, count) for each in left.tests)
     rest = () if left is None else tuple(replace(each, test=_of_model(each.test, count)) for each in left.errors)
     return Refit(corrected, again, ModelErrors(result.names, tests, rest, freed=tuple(freed)))
+
+
+def _pruned(problem: LeastSquares, result: Result, found: Fitted, progress: Progress | None) -> Fitted:
+    """Return a refit without errors that are not significant beside the others."""
+    errors, _, again, _ = found
+    count = len(result.names)
+    scores = np.abs(again.values[count:]) / again.std[count:]
+    kept = [each for each, score in zip(errors, scores.tolist(), strict=True) if score >= SETTINGS.significant]
+    fitted = _fit(problem, result, kept, progress) if 0 < len(kept) < len(errors) else None
+    return found if fitted is None else (kept, *fitted, ())
 
 
 def _candidates(found: ModelErrors) -> list[ModelError]:
@@ -242,6 +256,7 @@ def _continued(result: Result, again: Result, errors: Sequence[ModelError]) -> R
         iterations=own.iterations + more.iterations,
         simulations=own.simulations + more.simulations,
         elapsed_s=own.elapsed_s + more.elapsed_s,
+        restarts=(),  # they compared residuals of the model without these errors
     )
     start = np.concatenate([result.estimates.start, again.estimates.start[len(result.names) :]])
     return replace(

@@ -40,6 +40,7 @@ TOLERANCES = {
     "noise": 0.01,  # of itself
     "cost": 0.02,  # as it is: minus twice the logarithm of the likelihood
     "statistic": 0.05,  # of 1 + itself
+    "probability": 0.02,  # of itself
     "time": 0.02,  # s
     "count": math.inf,  # simulations and iterations: the same on one machine only
 }

@@ -95,7 +95,7 @@ def error_names(direction: Direction) -> str:
 
 def _fields(kind: ErrorKind, subject: Sequence[str], size: str) -> dict[str, str]:
     half = len(subject) // 2
-    whole = kind in (ErrorKind.DELAY, ErrorKind.ADVANCE)
+    whole = kind in (ErrorKind.DELAY, ErrorKind.ADVANCE, ErrorKind.INTERPOLATION)
     return {
         "first": _joined(subject if whole else subject[:1]),
         "others": _joined(subject[1:]),

@@ -94,9 +94,9 @@ def reason_words(verdict: Verdict) -> str:
 
 def remedy_words(verdict: Verdict) -> str:
     """Return the remedy of the gravest reason that has one."""
-    named = next((each for each in verdict.doubts if each.reason is Reason.MODEL_ERROR), None)
-    if named is not None and verdict.reasons[0] is Reason.MODEL_ERROR:
-        return error_remedy(named)
+    first = next(iter((*verdict.doubts, *verdict.freed)), None)
+    if first is not None and first.reason is Reason.MODEL_ERROR:
+        return error_remedy(first)
     return next((text for each in verdict.reasons if (text := VerdictMessage[each.name].remedy)), "")
 
 
