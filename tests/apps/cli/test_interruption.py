@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
 from fmuid.apps.cli.signals import answering, handled, stopping
@@ -151,10 +151,10 @@ def full(*_: object, **__: object) -> None:
 
 def test_no_room_for_figures(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     """One sentence, what was saved before is told, and no half file is left."""
-    written: Any = FigureCanvasAgg.print_png
+    written: Any = Figure.savefig
     monkeypatch.setattr(
-        FigureCanvasAgg,
-        "print_png",
+        Figure,
+        "savefig",
         lambda self, to, **rest: full() if "residuals" in str(to) else written(self, to, **rest),
     )
     assert fmuid_("identify", folder / "study.toml", "--figures", "png") == WRONG_INPUT
