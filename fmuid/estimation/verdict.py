@@ -30,6 +30,7 @@ class Reason(Enum):
     SOLVER_UNCHECKED = "solver_unchecked"
     SOLVER_ERROR = "solver_error"  # added to σ
     MODEL_ERROR = "model_error"  # named by a directed test
+    DATA_DEFECT = "data_defect"  # of a recorded output
     PRIOR_DATA_CONFLICT = "prior_data_conflict"
     NOISE_LEVEL = "noise_level"  # of the residual, beside the given one
     INPUT_CORRELATION = "input_correlation"

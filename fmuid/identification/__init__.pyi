@@ -6,6 +6,8 @@ from .assessment import better_point as better_point
 from .cost_map import CostMap as CostMap
 from .cost_map import map_cost as map_cost
 from .cost_map import region_rise as region_rise
+from .data_defects import DataDefect as DataDefect
+from .data_defects import DefectKind as DefectKind
 from .directed_tests import find_model_errors as find_model_errors
 from .identify import identify as identify
 from .judgment import judge as judge

@@ -13,6 +13,7 @@ from fmuid.blas import single_threaded
 from fmuid.codec import Layout
 from fmuid.estimation import LeastSquares, Result, check_level
 from fmuid.events import Event, MapStep, Progress
+from fmuid.identification.data_defects import DataDefect, find_data_defects
 from fmuid.identification.directed_tests import find_model_errors
 from fmuid.identification.model_errors import ModelErrors
 from fmuid.identification.prior_and_data import PriorDataComparison, compare_prior_and_data
@@ -80,6 +81,7 @@ class Assessment:
         None of a result read from a file.
     model_errors : ModelErrors or None
         Directed tests; None where there is nothing to test.
+    data_defects : tuple of DataDefect
     maps : tuple of CostMap
     profiles : tuple of Profile
     posterior : Posterior or None
@@ -90,6 +92,7 @@ class Assessment:
     residuals: ResidualAnalysis | None = None
     prior_and_data: PriorDataComparison | None = None
     model_errors: ModelErrors | None = None
+    data_defects: tuple[DataDefect, ...] = ()
     maps: tuple[CostMap, ...] = ()
     profiles: tuple[Profile, ...] = ()
     posterior: Posterior | None = None
@@ -188,7 +191,8 @@ def assess(
             problem, result, search_data=asked.search_data, healthy=asked.known_variance, diagnostics=residuals
         )
         errors = find_model_errors(problem.as_in(result), result) if earlier is None else earlier.model_errors
-        found = replace(found, residuals=residuals, prior_and_data=reading, model_errors=errors)
+        defects = find_data_defects(problem, result)
+        found = replace(found, residuals=residuals, prior_and_data=reading, model_errors=errors, data_defects=defects)
     try:
         for explored in _explored(problem, result, asked, progress or (lambda _: None), found):
             found = explored

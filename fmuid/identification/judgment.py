@@ -58,6 +58,9 @@ def judge(
     doubts += [Doubt(Reason.MISSING_ROWS, (name,), {"first": float(times[0])}) for name, times in (gaps or {}).items()]
     if assessment is not None:
         doubts += _of_uncertainty(assessment)
+        for each in assessment.data_defects:
+            subject = (each.kind.value, each.output, each.experiment)
+            doubts.append(Doubt(Reason.DATA_DEFECT, subject, each.values))
         errors = assessment.model_errors
         if errors is not None:
             rough = tuple(each for each in errors.freed if ErrorKind.DEAD_TIME in each.kinds)

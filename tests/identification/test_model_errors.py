@@ -18,6 +18,7 @@ from fmuid import codec
 from fmuid.array_types import Floats
 from fmuid.estimation import Grade, Reason, Result
 from fmuid.identification import Assessment, ErrorKind, ModelErrors, Problem, assess, find_model_errors, judge, refit
+from fmuid.identification.data_defects import DefectKind, converter_step, find_data_defects
 from fmuid.identification.directed_tests import largest_scores, probability_of
 from fmuid.identification.linearized_record import LinearizedRecord, exponentials
 from tests.support.paths import FMUS
@@ -298,12 +299,57 @@ def test_a_study_frees_reports_or_ignores_errors(tmp_path: Path, mode: str) -> N
         assert [each.direction.kind for each in again.tests] == [each.direction.kind for each in errors.tests]
 
 
+# --- defects of the data
+
+
+def damaged(kind: str, seed: int = 0) -> tuple[Problem, Result]:
+    """Return a record whose sensor has a defect, and its result."""
+    rng = np.random.default_rng([32, seed])
+    u = held_voltage(rng)
+    i, noise = closed(u), rng.standard_normal(COUNT)
+    level = float(np.sqrt(np.mean(i**2) / 30))
+    match kind:
+        case "quantized":
+            measured = np.rint((i + 0.15 * level * noise) / level) * level
+        case "clipped":
+            limit = 0.8 * float(np.abs(i).max())
+            measured = np.clip(i + level * noise, -limit, limit)
+        case "repeated":
+            measured = np.repeat((i + level * noise)[::2], 2)[:COUNT]
+        case _:
+            measured = i + level * noise * (np.abs(i) / np.sqrt(np.mean(i**2)) if kind == "uneven" else 1.0)
+    problem = problem_of(u, measured)
+    return problem, fmuid.identify(problem)
+
+
+@pytest.mark.parametrize("kind", DefectKind)
+def test_defects_of_data_are_named(kind: DefectKind) -> None:
+    problem, result = damaged(kind.value)
+    found = find_data_defects(problem, result)
+    assert kind in {each.kind for each in found}
+    assert Reason.DATA_DEFECT in judge(result, Assessment(data_defects=found)).reasons
+
+
+@pytest.mark.parametrize("scene", ["sound", "colored"])
+def test_sound_data_have_no_defect(scene: str) -> None:
+    assert [find_data_defects(*identified(scene, seed)) for seed in range(3)] == [()] * 3
+
+
+def test_a_step_is_found_where_all_values_are_its_multiples() -> None:
+    values = np.random.default_rng(1).standard_normal(500)
+    assert converter_step(np.rint(values / 0.25) * 0.25 + 0.1) == pytest.approx(0.25)
+    assert converter_step(values) == 0.0
+    assert converter_step(np.where(values > 0.0, 1.0, 0.0)) == 0.0  # a switch has no converter
+
+
 @pytest.mark.campaign
 @pytest.mark.parametrize("scene", ["sound", "colored"])
 def test_false_alarms_of_all_tests_together(scene: str) -> None:
-    alarms = 0
+    alarms = uneven = 0
     for seed in range(400):
         problem, result = identified.__wrapped__(scene, seed)
         found = find_model_errors(problem, result)
         alarms += bool(found is not None and found.errors)
+        uneven += bool(find_data_defects(problem, result))
     assert alarms <= 10  # 1 % of 400 by the exact binomial test at 0.1 %
+    assert uneven <= 10

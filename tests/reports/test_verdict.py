@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 
 from fmuid.estimation import Doubt, Reason, Verdict
-from fmuid.identification import ErrorKind
+from fmuid.identification import DefectKind, ErrorKind
 from fmuid.reports.topics.verdict import VerdictMessage, reason_words, remedy_words, verdict_state
 
+DEFECTS = {"ratio": 2.4, "limit": 5.0, "samples": 9.0, "share": 0.31, "factor": 2.2}
 VALUES = {"fit": 12.4, "ratio": 5.42, "shift": 0.81, "probability": 3e-4}
 
 
@@ -23,7 +24,16 @@ def test_each_model_error_is_said_with_its_remedy(kind: ErrorKind) -> None:
     assert reason_words(Verdict((), (error,))) == f"freed: {words}"
 
 
-@pytest.mark.parametrize("reason", [each for each in Reason if each is not Reason.MODEL_ERROR])
+@pytest.mark.parametrize("kind", DefectKind)
+def test_each_defect_of_data_is_said(kind: DefectKind) -> None:
+    words = reason_words(Verdict((Doubt(Reason.DATA_DEFECT, (kind.value, "i", "run"), DEFECTS),)))
+    assert words and "{" not in words
+
+
+NAMED = (Reason.MODEL_ERROR, Reason.DATA_DEFECT)  # by their kinds
+
+
+@pytest.mark.parametrize("reason", [each for each in Reason if each not in NAMED])
 def test_each_reason_is_said(reason: Reason) -> None:
     words = reason_words(Verdict((Doubt(reason, ("y", "run", "u"), VALUES), Doubt(reason, ("x", "run", "v"), VALUES))))
     assert words and "{" not in words

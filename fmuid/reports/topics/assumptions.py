@@ -9,7 +9,7 @@ import numpy as np
 
 from fmuid.estimation import Doubt
 from fmuid.formatting import listed, two_digits, unit_text, with_std
-from fmuid.identification import DirectedTest, Direction, ErrorKind, ModelError, ModelErrors
+from fmuid.identification import DefectKind, DirectedTest, Direction, ErrorKind, ModelError, ModelErrors
 from fmuid.reports.chart import Axis, Chart, Data, Layer, rows_of
 from fmuid.reports.document import DETAIL, PAGE, Message, Remark, Section, doubt, plain, table_of_rows
 
@@ -55,6 +55,15 @@ class ModelErrorMessage(Message, section="hiding"):
     STEP = doubt("{first} changes by {size} at half time", "the machine changed", "Split the record.")
     INITIAL_STATE = doubt("initial {first} is off by {size}", "the record starts in motion", "Set a longer `warmup`.")
     FIXED = doubt("fixed {first} is off by {size}", "its value is not that of the machine", "Free {first}.")
+
+
+class DefectMessage(Message, section="residuals"):
+    """Defects of recorded outputs, by `DefectKind`."""
+
+    QUANTIZED = doubt("{output} has steps of {ratio:.2g} × noise level", "a coarse converter: σ does not hold")
+    CLIPPED = doubt("{output} is clipped at {limit:.4g}", "the sensor's range ended: estimates are biased")
+    REPEATED = doubt("{output} repeats {share:.0%} of its samples", "a channel slower than its clock")
+    UNEVEN = doubt("noise of {output} is uneven ({factor:.2g} ×)", "it follows the signal or the time: σ does not hold")
 
 
 class HidingMessage(Message, section="hiding"):
@@ -107,6 +116,12 @@ def _fields(kind: ErrorKind, subject: Sequence[str], size: str) -> dict[str, str
 
 def _joined(names: Sequence[str]) -> str:
     return listed(names) if names else ""
+
+
+def defect_words(found: Doubt) -> str:
+    """Return a defect of a recorded output."""
+    kind, output, *_ = found.subject
+    return DefectMessage[DefectKind(kind).name].text.format(output=output, **found.values).replace("%", " %")
 
 
 def error_words(found: Doubt) -> str:

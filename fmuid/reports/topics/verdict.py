@@ -8,7 +8,7 @@ from itertools import groupby
 from fmuid.estimation import Doubt, Grade, Reason, Verdict
 from fmuid.formatting import listed
 from fmuid.reports.document import Message, Tone
-from fmuid.reports.topics.assumptions import error_remedy, error_words
+from fmuid.reports.topics.assumptions import defect_words, error_remedy, error_words
 
 SHOWN_REASONS = 2
 """Reasons in the first line; the others are counted."""
@@ -47,6 +47,11 @@ class VerdictMessage(Message):
         "{error}",
         "a directed test names this model error",
         "Follow the message of the model error.",
+    )
+    DATA_DEFECT = (
+        "{defect}",
+        "the record itself biases estimates or intervals",
+        "Record again, or weight the samples.",
     )
     PRIOR_DATA_CONFLICT = (
         "prior and data conflict (p = {probability:.1g})",
@@ -108,6 +113,7 @@ def _phrases(verdict: Verdict) -> Iterator[str]:
             "first": next(iter(first.subject), ""),
             "subjects": _joined(_subjects(reason, doubts)),
             "inputs": _joined(_inputs(doubts)),
+            "defect": listed([defect_words(each) for each in doubts]) if reason is Reason.DATA_DEFECT else "",
             "error": listed([error_words(each) for each in doubts]) if reason is Reason.MODEL_ERROR else "",
         }
         yield VerdictMessage[reason.name].text.format_map({**first.values, **words})
