@@ -142,14 +142,11 @@ def _delays(record: LinearizedRecord) -> Iterator[_Column]:
     parts = [(names, slice(None))] + (
         [((name,), slice(j, j + 1)) for j, name in enumerate(names)] if len(names) > 1 else []
     )
-    kinds = {ErrorKind.DELAY: 0.5 * (late - early)}
-    if record.experiment.held.any():  # slopes before and after a sample differ
-        kinds = {ErrorKind.DELAY: late, ErrorKind.ADVANCE: early}
-    for kind, whole in kinds.items():
+    for kind, whole in ((ErrorKind.DELAY, late), (ErrorKind.ADVANCE, early)):  # slopes at a sample differ
         for subject, columns in parts:
             table = np.zeros(outputs.shape)
             table[:, columns] = whole[:, columns]
-            yield _Column(kind, subject, "samples", SETTINGS.delay, table, len(kinds) > 1)
+            yield _Column(kind, subject, "samples", SETTINGS.delay, table, True)
 
 
 def _made(kind: ErrorKind, subject: tuple[str, ...], unit: str, usual: float, one_sided: bool = False) -> _Column:

@@ -20,7 +20,7 @@ class ErrorKind(Enum):
     """Kind of a model error; ``kind`` in ``result.json``."""
 
     DELAY = "delay"  # of an output, or of all
-    ADVANCE = "advance"  # likewise, where held inputs make both directions differ
+    ADVANCE = "advance"  # likewise
     INPUT_DELAY = "input_delay"
     INPUT_ADVANCE = "input_advance"
     INTERPOLATION = "interpolation"  # an input is held where it was taken as linear, or the other way round

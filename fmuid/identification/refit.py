@@ -28,6 +28,7 @@ class RefitSettings:
     fits: int = 3  # directions are taken at the estimates of the fit before
     close_share: float = 0.6  # of the strongest score²: directions that fits tell apart, not linear scores
     most: int = 4  # directions fitted in turn
+    most_errors: int = 3  # freed
     significant: float = 3.0  # σ; errors that are smaller beside the others are not freed
     settled: float = 0.01  # σ; estimates that move less end it
     least_weight: float = 0.02  # of a alternative in the average
@@ -134,35 +135,50 @@ def refit(problem: LeastSquares, result: Result, found: ModelErrors, progress: P
     progress : callable, optional
         Called with every `fmuid.events.SearchStep`.
     """
-    others = found.errors[1:]
+    count, now = len(result.names), found
+    taken: Fitted | None = None
+    while now.errors and (taken is None or len(taken[0]) < SETTINGS.most_errors):
+        more = _extended(problem, result, [] if taken is None else taken[0], now, progress)
+        if more is None:
+            break
+        taken = more
+        left = find_model_errors(taken[1], taken[2])
+        now = ModelErrors(result.names, found.tests) if left is None else left
+    if taken is None:
+        return None
+    pruned = _pruned(problem, result, taken, progress)
+    if pruned is not taken:
+        left = find_model_errors(pruned[1], pruned[2])
+        now = ModelErrors(result.names, found.tests) if left is None else left
+    errors, corrected, again, alternatives = pruned
+    again = _continued(result, again, errors)
+    sized = zip(errors, again.values[count:].tolist(), again.std[count:].tolist(), strict=True)
+    freed = [replace(each, test=replace(each.test, size=size, std=std)) for each, size, std in sized]
+    freed[-1] = replace(freed[-1], alternatives=alternatives)
+    tests = tuple(_of_model(each, count) for each in now.tests)
+    rest = tuple(replace(each, test=_of_model(each.test, count)) for each in now.errors)
+    return Refit(corrected, again, ModelErrors(result.names, tests, rest, freed=tuple(freed)))
+
+
+def _extended(
+    problem: LeastSquares, result: Result, before: list[ModelError], found: ModelErrors, progress: Progress | None
+) -> Fitted | None:
+    """Return the best fit with one more error, its estimates averaged over those that explain as much."""
     fits = []
-    for first in _candidates(found):
-        errors = [first, *(each for each in others if _key(each.test) != _key(first.test))]
-        made = _fit(problem, result, errors, progress)
-        fits += [] if made is None else [(errors, *made)]
+    for each in _candidates(found):
+        made = _fit(problem, result, [*before, each], progress)
+        fits += [] if made is None else [([*before, each], *made)]
     if not fits:
         return None
-    count = len(result.names)
     likelihoods = _likelihoods([each[2] for each in fits])
     errors, corrected, best = fits[int(np.argmax(likelihoods))]
     # a dead time is not linear in its size: its likelihood says too little where its score is close
-    rough = [each[0][0].test.direction.kind is ErrorKind.DEAD_TIME for each in fits]
+    rough = [each[0][-1].test.direction.kind is ErrorKind.DEAD_TIME for each in fits]
     weights = np.where(rough, 1.0, np.exp(likelihoods - likelihoods.max()))
     weights[weights < SETTINGS.least_weight] = 0.0
-    alternatives = tuple(
-        each[0][0].test.direction for each, w in zip(fits, weights, strict=True) if w and each[2] is not best
-    )
-    again = _averaged([each[2] for each in fits], best, weights / weights.sum(), count)
-    pruned = _pruned(problem, result, (errors, corrected, again, alternatives), progress)
-    errors, corrected, again, alternatives = pruned
-    again = _continued(result, again, errors)
-    left = find_model_errors(corrected, again)
-    sized = zip(errors, again.values[count:].tolist(), again.std[count:].tolist(), strict=True)
-    freed = [replace(each, test=replace(each.test, size=size, std=std)) for each, size, std in sized]
-    freed[0] = replace(freed[0], alternatives=alternatives)
-    tests = found.tests if left is None else tuple(_of_model(each, count) for each in left.tests)
-    rest = () if left is None else tuple(replace(each, test=_of_model(each.test, count)) for each in left.errors)
-    return Refit(corrected, again, ModelErrors(result.names, tests, rest, freed=tuple(freed)))
+    likely = [each for each, weight in zip(fits, weights.tolist(), strict=True) if weight and each[2] is not best]
+    again = _averaged([each[2] for each in fits], best, weights / weights.sum(), len(result.names))
+    return errors, corrected, again, tuple(each[0][-1].test.direction for each in likely)
 
 
 def _pruned(problem: LeastSquares, result: Result, found: Fitted, progress: Progress | None) -> Fitted:
