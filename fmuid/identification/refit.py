@@ -163,7 +163,7 @@ def refit(problem: LeastSquares, result: Result, found: ModelErrors, progress: P
 def _extended(
     problem: LeastSquares, result: Result, before: list[ModelError], found: ModelErrors, progress: Progress | None
 ) -> Fitted | None:
-    """Return the best fit with one more error, its estimates averaged over those that explain as much."""
+    """Return the best fit with one more error, averaged over alternatives."""
     fits = []
     for each in _candidates(found):
         made = _fit(problem, result, [*before, each], progress)
