@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import scipy
@@ -205,13 +206,18 @@ def _larger(null: Floats, score: float, beside: float) -> tuple[float, float]:
     return (score, min(own, 1.0)) if own <= other else (beside, min(other, 1.0))
 
 
+@lru_cache(maxsize=4)  # the tests of a refit have nearly as many directions
+def _draws(count: int) -> Floats:
+    """Return normal draws (draws, count)."""
+    return np.random.default_rng(SETTINGS.seed).standard_normal((SETTINGS.draws, count))
+
+
 def largest_scores(correlation: Floats) -> Floats:
     """Return the sorted largest |z| of correlated draws (m, m)."""
     if not len(correlation):
         return np.zeros(0)
     values, vectors = np.linalg.eigh(correlation)
-    draws = np.random.default_rng(SETTINGS.seed).standard_normal((SETTINGS.draws, len(correlation)))
-    return np.sort(np.abs(draws @ (vectors * np.sqrt(np.maximum(values, 0.0))).T).max(axis=1))
+    return np.sort(np.abs(_draws(len(correlation)) @ (vectors * np.sqrt(np.maximum(values, 0.0))).T).max(axis=1))
 
 
 def probability_of(null: Floats, score: float) -> float:
