@@ -153,7 +153,7 @@ def refit(problem: LeastSquares, result: Result, found: ModelErrors, progress: P
     errors, corrected, again, alternatives = pruned
     again = _continued(result, again, errors)
     sized = zip(errors, again.values[count:].tolist(), again.std[count:].tolist(), strict=True)
-    freed = [replace(each, test=replace(each.test, size=size, std=std)) for each, size, std in sized]
+    freed = [replace(e, test=replace(_of_model(e.test, count), size=size, std=std)) for e, size, std in sized]
     freed[-1] = replace(freed[-1], alternatives=alternatives)
     tests = tuple(_of_model(each, count) for each in now.tests)
     rest = tuple(replace(each, test=_of_model(each.test, count)) for each in now.errors)

@@ -109,7 +109,9 @@ def _freed(study: Study, problem: Problem, result: Result, progress: Progress | 
     mode, tested = study.estimation.model_error, problem.as_in(result)
     found = None if mode == "off" or not at_minimum(result) else find_model_errors(tested, result)
     again = None
+    # profiles, samples and diagnosis are of the model without freed errors
     free = mode == "refit" and result.converged and study.diagnosis is None
+    free = free and not study.uncertainty_settings.explores
     if free and found is not None and found.errors and all(each.is_plausible for each in found.errors):
         again = refit(tested, result, found, progress)
     return again or Refit(problem, result, found)

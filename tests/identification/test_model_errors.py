@@ -83,6 +83,7 @@ def identified(scene: str, seed: int = 0) -> tuple[Problem, Result]:
         "half a sample late": lambda: closed(u, 0.5),
         "dead time": lambda: integrated(u, lambda _, x, v: (v - 1.2 * np.tanh(x / 0.05) - R * x) / L),
         "offset": lambda: sound + 0.3 * level,
+        "late with an offset": lambda: closed(u, 1.0) + 0.5 * level,
     }
     i = made[scene]() if scene in made else sound
     if scene == "colored":
@@ -248,6 +249,17 @@ def test_refit_frees_a_delay() -> None:
     assert again.result.names == ("R", "L", "delay(i)") and again.found.names == ("R", "L")
 
 
+def test_two_errors_are_freed_one_after_the_other() -> None:
+    problem, result = identified("late with an offset")
+    again = refit(problem.as_in(result), result, found_in("late with an offset"))
+    assert again is not None and again.found is not None and len(again.found.freed) == 2
+    assert {ErrorKind.DELAY, ErrorKind.OFFSET} <= {kind for each in again.found.freed for kind in each.kinds}
+    assert all(each.test.shift.shape == (2,) for each in again.found.freed)
+    verdict = judge(result, Assessment(model_errors=again.found))
+    assert len(verdict.freed) == 2 and {each.subject[1] for each in verdict.freed} <= {"R", "L"}
+    assert (np.abs(again.result.values[:2] - [R, L]) < 3.0 * again.result.std[:2]).all()
+
+
 def test_alternatives_widen_intervals() -> None:
     problem, result = identified("dead time")
     again = refit(problem.as_in(result), result, found_in("dead time"))
@@ -268,19 +280,28 @@ def test_color_alone_is_no_doubt_where_the_model_was_tested() -> None:
     assert Reason.COLORED_RESIDUAL in judge(result, Assessment(residuals=checks.residuals)).reasons
 
 
+def late_study(folder: Path, **sections: object) -> fmuid.Study:
+    problem, _ = identified("half a sample late")
+    problem.experiments[0].frame.to_csv(folder / "late.csv", index=False)
+    content = {
+        "model": {"fmu": str(COIL)},
+        "experiments": [{"data": "late.csv", "inputs": ["u"], "outputs": ["i"], "interpolation": "zoh"}],
+        "parameters": {"R": {"start": 3.0, "min": 0.0}, "L": {"start": 0.03, "min": 1e-4}},
+    }
+    return fmuid.Study.of(content | sections, folder / "study.toml")
+
+
+def test_profiles_are_of_the_model_without_freed_errors(tmp_path: Path) -> None:
+    found = fmuid.run(late_study(tmp_path, uncertainty={"profile_likelihood": True}))
+    verdict = found.result.verdict
+    assert verdict is not None and not verdict.freed and Reason.MODEL_ERROR in verdict.reasons
+    assert [each.name for each in found.assessment.profiles] == ["R", "L"]
+    assert str(fmuid.Document.of(found))
+
+
 @pytest.mark.parametrize("mode", ["refit", "report", "off"])
 def test_a_study_frees_reports_or_ignores_errors(tmp_path: Path, mode: str) -> None:
-    problem, _ = identified("half a sample late")
-    problem.experiments[0].frame.to_csv(tmp_path / "late.csv", index=False)
-    study = fmuid.Study.of(
-        {
-            "model": {"fmu": str(COIL)},
-            "experiments": [{"data": "late.csv", "inputs": ["u"], "outputs": ["i"], "interpolation": "zoh"}],
-            "parameters": {"R": {"start": 3.0, "min": 0.0}, "L": {"start": 0.03, "min": 1e-4}},
-            "estimation": {"model_error": mode},
-        },
-        tmp_path / "study.toml",
-    )
+    study = late_study(tmp_path, estimation={"model_error": mode})
     found = fmuid.run(study, tmp_path / "results")
     verdict, errors = found.result.verdict, found.assessment.model_errors
     assert found.result.names == ("R", "L")
