@@ -112,6 +112,8 @@ def _freed(study: Study, problem: Problem, result: Result, progress: Progress | 
     # profiles, samples and diagnosis are of the model without freed errors
     free = mode == "refit" and result.converged and study.diagnosis is None
     free = free and not study.uncertainty_settings.explores
+    # where inputs and states were not tested, an error may bear the name of another
+    free = free and found is not None and found.covers_dynamics
     if free and found is not None and found.errors and all(each.is_plausible for each in found.errors):
         again = refit(tested, result, found, progress)
     return again or Refit(problem, result, found)
