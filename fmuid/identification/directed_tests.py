@@ -48,17 +48,12 @@ class WhitenedRows:
         levels = np.sqrt([result.fit.variance[name] for name in problem.output_names])[problem.groups]
         columns = np.stack([each.column for each in directions], axis=1) / levels[:, None]
         self.directions, self.problem, self.result = directions, problem, result
-        self.samples = len(local.residual)
         self.raw = np.column_stack([local.residual, -local.jacobian, columns])
         self.prior = np.column_stack([local.prior_residual, -local.prior_jacobian])
         root = local.root
         self.shift = np.nan_to_num((root @ (root.T @ (-local.jacobian.T @ columns))) / result.std[:, None])
-        self._set(whitened(noise, self.raw))
-
-    def _set(self, white: Floats) -> None:
-        count, priors = len(self.directions), len(self.prior)
-        first = white.shape[1] - count
-        rows = np.vstack([white, np.hstack([self.prior, np.zeros((priors, count))])]) if priors else white
+        beside = np.hstack([self.prior, np.zeros((len(self.prior), len(directions)))])
+        rows, first = np.vstack([whitened(noise, self.raw), beside]), 1 + len(result.names)
         self.residual, self.sensitivities, self.columns = rows[:, 0], rows[:, 1:first], rows[:, first:]
 
 
@@ -84,22 +79,16 @@ class FreedFit:
 
     Attributes
     ----------
-    chosen : tuple of int
-        Freed directions.
     step : (N + m,) array
         Change of the parameters, then sizes of the directions.
     covariance : (N + m, N + m) array
     freedom : (N + m,) array
         Degrees of freedom of the variances.
-    noise : ResidualNoise
-        Of what is left.
     """
 
-    chosen: tuple[int, ...]
     step: Floats
     covariance: Floats
     freedom: Floats
-    noise: ResidualNoise
 
 
 def score_directions(rows: WhitenedRows, known: Sequence[int] = ()) -> list[DirectedTest]:
@@ -179,7 +168,7 @@ def freed(rows: WhitenedRows, chosen: Sequence[int]) -> FreedFit:
         ),
         problem.series,
     )
-    return FreedFit(tuple(chosen), step, found.covariance, found.freedom, found.noise)
+    return FreedFit(step, found.covariance, found.freedom)
 
 
 def _unweighted(rows: WhitenedRows, known: Sequence[int], among: Sequence[int]) -> Floats:

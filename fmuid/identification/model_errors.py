@@ -91,6 +91,11 @@ class Direction:
 
     json_layout: ClassVar = Layout(omitted={"column"})
 
+    @property
+    def key(self) -> tuple[ErrorKind, tuple[str, ...]]:
+        """Kind and subject, which no other direction of a problem has."""
+        return self.kind, self.subject
+
 
 @dataclass(frozen=True, eq=False)
 class DirectedTest:

@@ -35,7 +35,6 @@ class RefitSettings:
 
 
 SETTINGS = RefitSettings()
-Key = tuple[ErrorKind, tuple[str, ...]]
 Fitted = tuple[list[ModelError], "CorrectedProblem", Result, tuple[Direction, ...]]
 
 
@@ -88,9 +87,9 @@ class CorrectedProblem(LeastSquares):
     def directions(self, result: Result) -> tuple[Direction, ...]:
         """Return the directions that are not freed."""
         base: LeastSquares = vars(self)["base"]
-        taken = {(each.kind, each.subject) for each in vars(self)["freed"]}
+        taken = {each.key for each in vars(self)["freed"]}
         found = base.directions(without_sizes(result, len(base.parameters)))
-        return tuple(each for each in found if (each.kind, each.subject) not in taken)
+        return tuple(each for each in found if each.key not in taken)
 
 
 def without_sizes(result: Result, count: int) -> Result:
@@ -142,14 +141,11 @@ def refit(problem: LeastSquares, result: Result, found: ModelErrors, progress: P
         if more is None:
             break
         taken = more
-        left = find_model_errors(taken[1], taken[2])
-        now = ModelErrors(result.names, found.tests) if left is None else left
+        now = _tested(taken, found)
     if taken is None:
         return None
     pruned = _pruned(problem, result, taken, progress)
-    if pruned is not taken:
-        left = find_model_errors(pruned[1], pruned[2])
-        now = ModelErrors(result.names, found.tests) if left is None else left
+    now = now if pruned is taken else _tested(pruned, found)
     errors, corrected, again, alternatives = pruned
     again = _continued(result, again, errors)
     sized = zip(errors, again.values[count:].tolist(), again.std[count:].tolist(), strict=True)
@@ -158,6 +154,12 @@ def refit(problem: LeastSquares, result: Result, found: ModelErrors, progress: P
     tests = tuple(_of_model(each, count) for each in now.tests)
     rest = tuple(replace(each, test=_of_model(each.test, count)) for each in now.errors)
     return Refit(corrected, again, ModelErrors(result.names, tests, rest, freed=tuple(freed)))
+
+
+def _tested(fitted: Fitted, before: ModelErrors) -> ModelErrors:
+    """Return the directed tests beside the freed errors."""
+    _, corrected, again, _ = fitted
+    return find_model_errors(corrected, again) or ModelErrors(before.names, before.tests)
 
 
 def _extended(
@@ -170,7 +172,7 @@ def _extended(
         fits += [] if made is None else [([*before, each], *made)]
     if not fits:
         return None
-    likelihoods = _likelihoods([each[2] for each in fits])
+    likelihoods = _likelihoods(problem, [each[2] for each in fits])
     errors, corrected, best = fits[int(np.argmax(likelihoods))]
     # a dead time is not linear in its size: its likelihood says too little where its score is close
     rough = [each[0][-1].test.direction.kind is ErrorKind.DEAD_TIME for each in fits]
@@ -196,12 +198,8 @@ def _candidates(found: ModelErrors) -> list[ModelError]:
     first = found.errors[0]
     least = SETTINGS.close_share * first.test.score**2
     close = sorted((each for each in found.tests if each.score**2 > least), key=lambda each: -abs(each.score))
-    others = [ModelError(each) for each in close if _key(each) != _key(first.test)]
+    others = [ModelError(each) for each in close if each.direction.key != first.test.direction.key]
     return [first, *others[: SETTINGS.most - 1]]
-
-
-def _key(test: DirectedTest) -> Key:
-    return test.direction.kind, test.direction.subject
 
 
 def _of_model(test: DirectedTest, count: int) -> DirectedTest:
@@ -218,10 +216,10 @@ def _fit(
     count, now = len(result.names), result
     again: Result | None = None
     for _ in range(SETTINGS.fits):
-        directions = {(each.kind, each.subject): each for each in problem.directions(now)}
-        if not all(_key(each.test) in directions for each in errors):
+        directions = {each.key: each for each in problem.directions(now)}
+        if not all(each.test.direction.key in directions for each in errors):
             return None
-        corrected = CorrectedProblem(problem, [directions[_key(each.test)] for each in errors], sizes)
+        corrected = CorrectedProblem(problem, [directions[each.test.direction.key] for each in errors], sizes)
         again = Marquardt().search(Evaluator(corrected), progress, start)
         if not again.converged or not np.isfinite(again.std).all():
             return None
@@ -232,23 +230,16 @@ def _fit(
     return None if again is None else (corrected, again)
 
 
-def _likelihoods(results: Sequence[Result]) -> Floats:
+def _likelihoods(problem: LeastSquares, results: Sequence[Result]) -> Floats:
     """Return the log-likelihoods of results under one noise model."""
     spread = [[each.fit.noise_variance[name] for name in results[0].fit.noise_variance] for each in results]
     best = results[int(np.argmin(np.sum(np.log(spread), axis=1)))]
-    noise, local = best.fit.noise, best.fit.linearization
-    assert noise is not None and local is not None, "fits keep their residuals"
-    rows = np.stack([_scaled(best, each) for each in results], axis=1)
+    noise = best.fit.noise
+    assert noise is not None, "fits keep their noise model"
+    levels = np.sqrt([best.fit.variance[name] for name in problem.output_names])[problem.groups]
+    rows = np.stack([problem.measured - problem.stacked(each.fit.simulated) for each in results], axis=1)
+    rows /= levels[:, None]
     return np.asarray(-0.5 * np.sum(whitened(noise, rows) ** 2, axis=0))
-
-
-def _scaled(best: Result, each: Result) -> Floats:
-    """Return counted residuals (n,) in standard deviations of the best result's noise."""
-    parts = []
-    for experiment, simulated in zip(best.fit.experiments, each.fit.simulated, strict=True):
-        levels = [best.fit.variance[name] ** 0.5 for name in experiment.output_names]
-        parts.append(((experiment.output_values - simulated) / levels)[experiment.counted])
-    return np.concatenate(parts)
 
 
 def _averaged(results: Sequence[Result], best: Result, weights: Floats, count: int) -> Result:

@@ -249,6 +249,22 @@ def test_refit_frees_a_delay() -> None:
     assert again.result.names == ("R", "L", "delay(i)") and again.found.names == ("R", "L")
 
 
+def test_refit_weighs_samples_by_their_own_noise() -> None:
+    rng = np.random.default_rng(33)
+    u, level = held_voltage(rng), np.where(np.arange(COUNT) < COUNT // 2, 0.05, 0.5)
+    problem = problem_of(u, closed(u, 1.0) + level * rng.standard_normal(COUNT))
+    frame = problem.experiments[0].frame.assign(level=level)
+    experiment = fmuid.Experiment(frame, ["u"], ["i"], interpolation="zoh")
+    problem = fmuid.Problem(COIL, experiment, problem.given_parameters, noise=fmuid.Noise(std={"i": "level"}))
+    result = fmuid.identify(problem)
+    found = find_model_errors(problem, result)
+    again = None if found is None else refit(problem.as_in(result), result, found)
+    assert again is not None and again.found is not None
+    (freed,) = again.found.freed
+    assert freed.test.direction.kind is ErrorKind.DELAY and abs(freed.test.size - 1.0) < 3.0 * freed.test.std
+    assert (np.abs(again.result.values[:2] - [R, L]) < 3.0 * again.result.std[:2]).all()
+
+
 def test_two_errors_are_freed_one_after_the_other() -> None:
     problem, result = identified("late with an offset")
     again = refit(problem.as_in(result), result, found_in("late with an offset"))

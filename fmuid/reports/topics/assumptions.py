@@ -168,11 +168,11 @@ def model_error_remarks(found: ModelErrors | None) -> list[Remark]:
 
 def hidden_test(found: ModelErrors) -> DirectedTest | None:
     """Return the usual error that could hide and moves an estimate most."""
-    named = {(each.test.direction.kind, each.test.direction.subject) for each in (*found.errors, *found.freed)}
+    named = {each.test.direction.key for each in (*found.errors, *found.freed)}
     for each in found.exposures:
         if each.most[1] * each.direction.usual < 0.1:
             break
-        if each.detectable > each.direction.usual and (each.direction.kind, each.direction.subject) not in named:
+        if each.detectable > each.direction.usual and each.direction.key not in named:
             return each
     return None
 
