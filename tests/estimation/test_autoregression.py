@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from fmuid.array_types import Floats, Indices
-from fmuid.estimation.noise import autoregression
 from fmuid.estimation.noise.autoregression import Autoregression, fit, impulse_response, most_orders
 from fmuid.estimation.noise.low_frequency import Spectrum, slow_noise
 from fmuid.estimation.noise.model import innovations_matrix
@@ -74,32 +72,6 @@ def test_scatter_is_the_inverse_of_whittles_information(noise: Autoregression) -
 
 
 # --- models found
-
-
-def plain_burg(columns: Floats, weights: Floats, there: NDArray[np.bool_], orders: int) -> list[float]:
-    """Return the reflection coefficients of Burg's recursion, sample by sample of every segment without gaps."""
-    ahead = [dict(enumerate(column)) for column in columns.tolist()]
-    behind, found = [dict(column) for column in ahead], []
-    for order in range(1, orders + 1):
-        ends = [t for t in range(order, there.size) if there[t - order : t + 1].all()]
-        pairs = [(w, f[t], b[t - 1]) for w, f, b in zip(weights, ahead, behind, strict=True) for t in ends]
-        k = 2.0 * sum(w * f * b for w, f, b in pairs) / sum(w * (f**2 + b**2) for w, f, b in pairs)
-        found.append(k)
-        both = [(f, b) for f, b in zip(ahead, behind, strict=True)]
-        ahead = [{t: f[t] - k * b[t - 1] for t in ends} for f, b in both]
-        behind = [{t: b[t - 1] - k * f[t] for t in ends} for f, b in both]
-    return found
-
-
-@pytest.mark.parametrize(("share", "order"), [(1.0, "C"), (0.97, "F")])
-def test_burg_is_the_plain_recursion_of_all_columns(share: float, order: Literal["C", "F"]) -> None:
-    rng = np.random.default_rng(21)
-    there = rng.random(150) < share
-    columns = np.array(lfilter([1.0], [1.0, -1.6, 0.9], rng.standard_normal((5, 150))) * there, order=order)
-    weights = np.array([1.0, 0.1, -0.1, 0.1, -0.1])
-    found, scores = autoregression._burg(columns, weights, there, 8)
-    assert len(scores) == 8
-    np.testing.assert_allclose(found, plain_burg(columns, weights, there, 8), rtol=1e-9, atol=1e-12)
 
 
 def test_fit_finds_the_model_of_a_long_record_with_gaps() -> None:
@@ -218,11 +190,3 @@ def test_innovations_are_those_of_the_exact_factor(noise: Autoregression, gaps: 
     found = innovations_matrix(noise, places).toarray()
     np.testing.assert_allclose(found, np.linalg.inv(np.linalg.cholesky(matrix)), atol=atol)
     np.testing.assert_allclose(found @ matrix @ found.T, np.eye(places.size), atol=2e-3)
-
-
-def test_innovations_beside_gaps_leave_little_of_longer_memories() -> None:
-    places = np.flatnonzero(np.random.default_rng(2).random(120) < 0.7)
-    found = innovations_matrix(model(OSCILLATING), places).toarray()
-    left = found @ correlations(model(OSCILLATING), places) @ found.T
-    np.testing.assert_allclose(np.diag(left), 1.0, atol=2e-3)
-    assert np.abs(left - np.diag(np.diag(left))).max() < 0.1

@@ -10,8 +10,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from fmuid.array_types import Floats
-from fmuid.data import Experiment, Normal, Parameter
-from fmuid.data.data_file import read_data
+from fmuid.data import Normal, Parameter
 from fmuid.data.noise import Noise
 from fmuid.errors import InputError
 from fmuid.estimation import global_search
@@ -23,8 +22,7 @@ from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.estimation.search.state import TerminationReason
 from fmuid.events import Event, GlobalStep
-from fmuid.identification import Problem, identify
-from tests.support.paths import ROOT
+from fmuid.identification import identify
 from tests.support.sinusoids import FREQUENCY, METHODS, RANGE, TIMES, box, dense_minima, of_search, searched, sinusoid
 
 # Minima lie 2 to 8 rad/s apart; at the flattest ones, with large residuals, the search ends within this.
@@ -118,14 +116,6 @@ def test_valleys_and_perfect_data_have_one_optimum(method: Strategy) -> None:
     np.testing.assert_allclose(found.values, [3.0, 5.0], rtol=1e-5)
 
 
-def test_the_start_takes_part() -> None:
-    """One start alone is the parameters' own, and gives what an identification gives."""
-    found = searched(sinusoid(), GlobalSearch("multi-start", starts=1))
-    alone = identify(sinusoid())
-    assert found["w"] == alone["w"]
-    assert found.estimates.start[0] == 12.0
-
-
 def test_prior_decides_between_equal_optima() -> None:
     """Y = θ² t has the optima ±θ̂; a prior around one of them makes them differ by its own rows only (1.37)."""
     measured = 4.0 * TIMES + 0.1 * np.random.default_rng(1).normal(size=TIMES.size)
@@ -139,21 +129,6 @@ def test_prior_decides_between_equal_optima() -> None:
     data = [np.sum((measured - o.theta[0] ** 2 * TIMES) ** 2) / 0.01 for o in found.history.optima]
     best, second = found.history.optima[:2]
     assert second.criterion - best.criterion == pytest.approx(rows + data[1] - data[0])
-
-
-def test_induction_machine_from_a_wide_box() -> None:
-    """From four boxes of a decade and more, the same estimates as from a start beside the truth."""
-    table = ROOT / "experiments" / "induction_machine" / "table.csv"
-    experiment = Experiment(read_data(table), inputs=["uds", "uqs", "w"], outputs=["ids", "iqs"])
-    box = {"Rs": (1.0, 50.0), "Rr": (0.5, 20.0), "Lm": (0.05, 2.0), "Lf": (0.005, 0.5)}
-    truth = np.array([9.8, 3.8, 0.436, 0.0762])
-    parameters = {name: Parameter(start=high, min=low, max=high) for name, (low, high) in box.items()}
-    problem = Problem(ROOT / "fmus" / "InductionMachine" / "InductionMachine.fmu", experiment, parameters)
-    found = searched(problem, GlobalSearch(starts=20))
-    assert found.converged
-    local = identify(problem, start=truth)
-    assert (np.abs(found.values - truth) < 4.0 * found.std).all()
-    assert (np.abs(found.values - local.values) < 0.01 * local.std).all()
 
 
 # --- the criterion that is compared -----------------------------------------------------
@@ -181,13 +156,6 @@ def test_concentrated_cost_is_the_least_over_the_variance() -> None:
 
 
 # --- seeds, failures, interruption, settings --------------------------------------------
-
-
-def test_seed_makes_searches_repeatable() -> None:
-    search = [GlobalSearch("multi-start", starts=4, seed=seed) for seed in (5, 5, 6)]
-    tables = [optima(searched(sinusoid(), each)) for each in search]
-    assert tables[0].equals(tables[1])
-    assert not tables[0].equals(tables[2])
 
 
 @pytest.mark.slow
@@ -253,16 +221,6 @@ def test_failing_simulations_are_passed_over(method: Strategy) -> None:
 def test_nothing_but_failures(method: Strategy) -> None:
     with pytest.raises(InputError, match=r"all \d+ simulations.*too slow"):
         searched(fragile(100.0), GlobalSearch(method, starts=6))
-
-
-def test_explosions_are_no_error() -> None:
-    """Outputs beyond 1e154 cannot be squared; that is as bad as it gets, and no warning."""
-    problem = LeastSquares.from_function(
-        lambda theta: np.exp(theta[0] * TIMES),
-        np.exp(2.0 * TIMES) + 0.01 * np.sin(50 * TIMES),
-        {"a": Parameter(1.0, min=-700.0, max=700.0)},
-    )
-    assert searched(problem, GlobalSearch(starts=20))["a"] == pytest.approx(2.0, abs=0.01)
 
 
 def test_error_where_no_fit_is_possible() -> None:

@@ -53,21 +53,6 @@ def test_samples_are_stacked_and_whitened_each_with_its_own_sigma() -> None:
     np.testing.assert_allclose(residual, expected, rtol=1e-9, atol=1e-9)
 
 
-def test_evaluation_is_a_pure_function_with_the_derivative_of_the_residual() -> None:
-    problem, _ = two_runs()
-    criterion = prepare(Evaluator(problem)).criterion
-    theta = np.array([1.2, 2.1, 1.9])
-    residual, jacobian = criterion.evaluate(theta)
-    np.testing.assert_array_equal(residual, criterion.evaluate(theta)[0])
-    assert jacobian.shape == (179, 3)
-    sensitivity = np.column_stack(
-        [-2.1e3 * TIMES * np.exp(-1.2 * TIMES) / 2.0, 2.1e-3 * TIMES * np.cos(1.2 * TIMES) / 1e-3]
-    )
-    np.testing.assert_allclose(jacobian[:100, 0], -sensitivity.ravel(), rtol=1e-6, atol=1e-4)
-    assert (jacobian[:100, 2] == 0).all()
-    assert (jacobian[100:, 1] == 0).all()
-
-
 def test_an_experiment_is_not_simulated_again_for_the_parameters_of_others() -> None:
     problem, fakes = two_runs()
     evaluator = Evaluator(problem)
@@ -112,10 +97,6 @@ def of(function: Callable[[Floats], Floats], measured: Any, names: str, **words:
     return LeastSquares.from_function(function, measured, {name: Parameter(1.0) for name in names}, **words)
 
 
-def lonely(theta: Floats) -> Floats:
-    return np.full(5, theta[1] if theta[0] == 1.0 else np.nan)
-
-
 K, GAIN = {"k": Parameter(1.0)}, {"gain": Parameter(3.0)}
 EMPTY = Experiment.of_arrays("run", TIMES, (), np.zeros((50, 0)), np.zeros((50, 0), dtype=np.bool_))
 JOINT = JointPrior(["kk"], [1.0], [[1.0]])
@@ -151,20 +132,6 @@ def test_impossible_problem_is_refused(make: Callable[[], object], said: str) ->
     """Before the first step."""
     with pytest.raises((InputError, SimulationError), match=said):
         make()
-
-
-def test_prior_makes_up_for_a_missing_effect() -> None:
-    parameters = {"gain": Parameter(1.0), "idle": Parameter(3.0, prior=Normal(2.5, 0.5))}
-    start = prepare(Evaluator(LeastSquares.from_function(lambda theta: theta[0] * TIMES, 2.0 * TIMES, parameters)))
-    assert start.residual[-1] == pytest.approx(-1.0)
-
-
-def test_effect_shows_where_the_derivative_vanishes() -> None:
-    """An even function at its center: the central difference is zero, the outputs still change."""
-    parameters = {"gain": Parameter(1.0), "bend": Parameter(0.0, nominal=1.0)}
-    problem = LeastSquares.from_function(lambda theta: theta[0] * TIMES + theta[1] ** 2, 2.0 * TIMES, parameters)
-    start = prepare(Evaluator(problem))
-    assert np.linalg.norm(start.jacobian[:, 1]) < 1e-6 * np.linalg.norm(start.jacobian[:, 0])
 
 
 # --- parameters without effect at the start

@@ -28,8 +28,7 @@ from fmuid.estimation.search.state import TerminationReason
 from fmuid.events import Event, SearchStep
 from fmuid.identification import identify
 from fmuid.runs.findings import at_minimum
-from tests.support.problems import CLOCK as TIMES
-from tests.support.problems import Fake, coil_problem, simulate, two_output_problem, two_outputs
+from tests.support.problems import Fake, simulate, two_output_problem, two_outputs
 from tests.support.results import RESULT
 
 
@@ -108,18 +107,6 @@ def test_given_variances_are_used_as_they_are() -> None:
     assert (given.estimates.variance_dof > free.estimates.variance_dof).all()
 
 
-def test_the_variances_that_weigh() -> None:
-    """A given variance goes before the estimated one; the local model is whitened by both and not written to a file."""
-    result = identify(two_output_problem(noise=Noise({"u": 900.0})))
-    assert result.fit.variance == {"u": 900.0, "i": result.fit.noise_variance["i"]}
-    assert result.fit.linearization is not None
-    whitened = (result.fit.frames[0]["measured.u"] - result.fit.frames[0]["simulated.u"]) / 30.0
-    np.testing.assert_allclose(result.fit.linearization.residual[::2], whitened, rtol=1e-9, atol=1e-12)
-    stacked = np.linalg.inv(result.fit.linearization.jacobian.T @ result.fit.linearization.jacobian)
-    np.testing.assert_allclose(stacked, result.estimates.covariance_white_noise, rtol=1e-5)
-    assert result.fit.linearization.prior_residual.size == 0
-
-
 def test_optimum_of_prior_and_data() -> None:
     """On a linear model θ_C = [M₀⁻¹ + P⁻¹]⁻¹ (M₀⁻¹ θ₀ + P⁻¹ θ_opt), section 7, with its covariance."""
     phi = np.column_stack([np.ones(60), np.linspace(0.0, 1.0, 60)])
@@ -165,22 +152,6 @@ def test_an_interrupted_search_keeps_its_best_point() -> None:
     assert dict(zip(result.names, result.values.tolist(), strict=True)) == best.values
     assert np.isfinite(result.std).all()
     assert len(result.trace) == len(seen)
-
-
-def test_an_interruption_inside_a_simulation() -> None:
-    calls = 0
-
-    def function(theta: Floats) -> Floats:
-        nonlocal calls
-        calls += 1
-        if calls == 25:
-            raise KeyboardInterrupt
-        return np.asarray(theta[0] * np.exp(-theta[1] * TIMES))
-
-    y = 3.0 * np.exp(-TIMES) + 0.01 * np.sin(50.0 * TIMES)
-    result = identify(LeastSquares.from_function(function, y, {"a": Parameter(1.0), "k": Parameter(3.0)}))
-    assert result.outcome is TerminationReason.INTERRUPTED
-    assert result.fit.cost < result.trace["cost"].iloc[0]
 
 
 def test_unsettled_variances_and_iteration_limit_are_not_convergence(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -240,15 +211,6 @@ def test_result_json_keeps_the_contract(tmp_path: Path) -> None:
     pd.testing.assert_frame_equal(back.intervals(), result.intervals())
     assert as_json(back) == data
     assert back.fit.linearization is None
-
-
-def test_result_without_identifiable_parameters_is_read(tmp_path: Path) -> None:
-    result = identify(coil_problem(prior=False))
-    back = Result.from_json(saved(tmp_path, result))
-    assert np.isinf(back.std).all()
-    assert back.identifiability.non_identifiable == result.identifiability.non_identifiable
-    with pytest.raises(InputError, match="'R'"):
-        back.prior()
 
 
 def test_result_as_prior(found: Result) -> None:

@@ -28,17 +28,6 @@ def test_the_weak_form_of_a_true_right_hand_side_vanishes() -> None:
     assert np.abs(left).max() < 0.01 * np.abs(wrong).max()
 
 
-def test_steps_of_the_right_hand_side_at_samples_are_exact() -> None:
-    """x of a held slope is a broken line, which trapezoids of w′ x follow only roughly, but to second order."""
-    slopes = RNG.choice([-1.0, 1.0], 399)
-    x = np.concatenate([[0.0], np.cumsum(slopes * np.diff(TIMES))])[:, None]
-    left = windows().residual(x, slopes[:, None], slopes[:, None])
-    # f of the mean of both slopes at a sample, as without the left and right limits, is an order larger
-    mean = np.concatenate([[slopes[0]], 0.5 * (slopes[:-1] + slopes[1:]), [slopes[-1]]])[:, None]
-    blurred = windows().residual(x, mean[:-1], mean[1:])
-    assert np.sqrt(np.mean(left**2)) < 0.5 * np.sqrt(np.mean(blurred**2))
-
-
 def test_the_noise_of_the_windows_is_what_it_says() -> None:
     weak, zero = windows(), np.zeros((399, 1))
     found = [weak.residual(RNG.standard_normal((400, 1)), zero, zero)[:, 0] for _ in range(400)]

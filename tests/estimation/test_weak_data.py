@@ -17,9 +17,8 @@ from fmuid.errors import InputError
 from fmuid.estimation.covariance import LIMITS, ActiveBound, IdentifiabilityLevel, WhitenedJacobian, local_covariance
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
-from fmuid.estimation.search.state import TerminationReason
 from fmuid.identification import identify
-from tests.support.problems import CLOCK, Fake, coil, coil_problem, simulate, two_output_problem
+from tests.support.problems import CLOCK, Fake, coil, simulate, two_output_problem
 from tests.support.results import RESULT
 
 TIMES = 1e-3 * np.arange(600)
@@ -136,18 +135,6 @@ def test_level_of_a_weak_direction(std: float, truth: float, level: Identifiabil
     assert truth < 1.0 or all(each.std == pytest.approx(std, rel=1e-5) for each in found)
 
 
-def test_nearly_alike_parameters_are_named_together() -> None:
-    """Their estimates lie a thousand times where they began, and are as uncertain."""
-    y = 1.0 / (5.0 + 1e-6 * TIMES) + noise(5, 1e-3)
-    parameters = {"R": Parameter(4.0), "dR": Parameter(0.5, nominal=1.0)}
-    result = identify(of(lambda p: 1.0 / (p[0] + p[1] * (1.0 + 1e-6 * TIMES)), y, **parameters))
-    assert not result.converged
-    (direction,) = result.identifiability.non_identifiable
-    assert (direction.level, direction.names) == (IdentifiabilityLevel.NOT_IN_EFFECT, ("R", "dR"))
-    assert (result.std > 0.3 * np.abs(result.values)).all()
-    assert result.values.sum() == pytest.approx(5.0, rel=1e-3)
-
-
 def test_singular_and_weak_directions_together() -> None:
     """a + b is known, a − b not at all; c to 20 of its magnitudes, d well."""
     rows, _ = np.linalg.qr(np.random.default_rng(6).standard_normal((50, 3)))
@@ -262,19 +249,6 @@ def test_absurd_magnitudes_make_no_warnings(magnitude: float, loss: str) -> None
     assert result.estimates.variance_dof == pytest.approx(plain.estimates.variance_dof, rel=1e-3)
 
 
-@pytest.mark.parametrize("start", [1e-90, -1e60, 1e90])
-def test_start_far_from_anything_makes_no_warnings(start: float) -> None:
-    parameters = {"a": Parameter(start), "k": Parameter(1.0), "c": Parameter(1.0)}
-    y = np.exp(-TIMES) + noise(11, 0.1)
-    try:
-        result = identify(of(lambda theta: theta[0] * np.exp(-theta[1] * TIMES) + theta[2], y, **parameters))
-    except InputError as error:
-        assert "no measured output" in str(error)
-    else:
-        result.intervals()
-        json.dumps(RESULT | as_json(result), allow_nan=False)
-
-
 @pytest.mark.parametrize(
     ("make", "said"),
     [
@@ -312,36 +286,6 @@ def test_intervals_cover_as_often_as_they_say(draws: int) -> None:
         interval = result.intervals()
         inside += (interval["lower"] < [3.0, 1.0]) & (interval["upper"] > [3.0, 1.0])
     assert (np.abs(inside / draws - 0.95) < 2.6 * math.sqrt(0.05 * 0.95 / draws)).all()
-
-
-def test_indistinguishable_parameters_are_named() -> None:
-    result = identify(coil_problem(prior=False))
-    assert result.outcome is TerminationReason.UNDETERMINED
-    (direction,) = result.identifiability.non_identifiable
-    assert (direction.level, direction.names) == (IdentifiabilityLevel.NOT, ("R", "L", "dR"))
-    along = np.array(direction.coefficients) / direction.coefficients[2]
-    assert along == pytest.approx([-1.0, -0.0494, 1.0], rel=0.01)
-    assert np.isinf(result.std).all()
-    assert result["R"] + result["dR"] == pytest.approx(5.0, abs=0.3)
-    assert result["L"] + 0.0494 * result["dR"] == pytest.approx(0.1494, abs=0.01)
-    written = as_json(result)
-    assert written["parameters"]["R"]["std"] == "inf"
-    json.dumps(written, allow_nan=False)
-
-
-def test_two_alike_and_one_without_effect() -> None:
-    """Two directions at once: a and b act as a sum, and c acts on nothing beyond the start."""
-    y = 5.0 * CLOCK + 0.01 * np.random.default_rng(1).standard_normal(100)
-
-    def line(theta: Floats) -> Floats:
-        return np.asarray((theta[0] + theta[1]) * CLOCK + (theta[2] if theta[0] + theta[1] < 3.2 else 0.0))
-
-    parameters = {"a": Parameter(1.0), "b": Parameter(2.0), "c": Parameter(1.0)}
-    found = identify(LeastSquares.from_function(line, y, parameters)).identifiability.non_identifiable
-    assert {(each.level, each.names) for each in found} == {
-        (IdentifiabilityLevel.NOT, ("c",)),
-        (IdentifiabilityLevel.NOT, ("a", "b")),
-    }
 
 
 def test_strong_correlations_are_listed() -> None:

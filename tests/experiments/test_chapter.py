@@ -8,7 +8,7 @@ import pytest
 
 import fmuid
 from experiments import pages
-from experiments.induction_machine import chapter, make_table
+from experiments.induction_machine import chapter
 
 README = (chapter.HERE / "README.md").read_text(encoding="utf-8")
 
@@ -40,37 +40,6 @@ def test_the_prior_study_gives_the_same_estimates(pair: dict[str, fmuid.Result])
     assert result.converged
     assert (np.abs(result.values - pair["with prior"].values) < 0.01 * result.std).all()
     assert result.std == pytest.approx(pair["with prior"].std, rel=1e-3)
-
-
-def test_the_prior_sharpens_every_estimate_as_the_barycentre_says(pair: dict[str, fmuid.Result]) -> None:
-    """(1.54–1.56): the data-only paraboloid and the prior's add up, in curvature and in what they pull towards."""
-    alone, both = pair["without prior"], pair["with prior"]
-    data, prior = np.linalg.inv(alone.covariance), np.diag(chapter.PRIOR_STD**-2)
-    covariance = np.linalg.inv(data + prior)
-    assert both.std == pytest.approx(np.sqrt(np.diag(covariance)), rel=0.01)
-    # the criterion weighs every sample alike, also where noise is slow
-    weights = np.linalg.inv(alone.estimates.covariance_white_noise)
-    barycentre = np.linalg.solve(weights + prior, weights @ alone.values + prior @ chapter.PRIOR_MEAN)
-    assert (np.abs(both.values - barycentre) < 0.02 * both.std).all()
-    assert (np.abs(both.values - chapter.TRUTH) < 3 * both.std).all()
-
-
-@pytest.mark.parametrize("seed", [None, 7])
-def test_one_repetition_finds_the_variance_of_the_noise_drawn(
-    clean: pd.DataFrame, table: pd.DataFrame, seed: int | None
-) -> None:
-    if seed is not None:
-        table = make_table.add_noise(clean, 2 * make_table.NOISE_VARIANCE, np.random.default_rng(seed))
-    drawn, found = chapter.drawn_variance(clean, table), chapter.repetition(chapter.experiment(table))
-    repeated = found[found["searches"] == 2]
-    assert len(repeated) == 2 * len(chapter.FIRST_VARIANCES)
-    assert repeated["both"].to_numpy() == pytest.approx(drawn["both"], rel=0.02)
-    right = repeated[repeated["prior"] == "the chapter's"]
-    for name in chapter.OUTPUTS:
-        assert right[name].to_numpy() == pytest.approx(drawn[name], rel=0.003)
-    # the repetition had something to do: a wrong prior that weighs too much shows in the first residual
-    first = found[(found["searches"] == 1) & (found["first"] == 10.0) & (found["prior"] != "the chapter's")]
-    assert first["both"].item() > 1.05 * drawn["both"]
 
 
 def check_both_are_nearest(errors: np.ndarray) -> None:

@@ -17,27 +17,6 @@ def committed() -> pd.DataFrame:
     return pd.read_csv(study.HERE / "bias.csv")
 
 
-def test_the_loop_is_the_sampled_one_of_the_page() -> None:
-    """Coil and PI from sample to sample in closed form; the noise reaches the voltage at once, the current later."""
-    added = 0.1 * np.random.default_rng(4).standard_normal(study.SAMPLES)
-    record, wanted = study.simulate(added), study.reference()
-    decay = np.exp(-study.R / study.L * study.STEP)
-    gain, integral_time = study.CONTROL.values()
-    current = integral = 0.0
-    rows = []
-    for k in range(study.SAMPLES):
-        error = wanted[k] - (current + added[k])
-        voltage = gain * error + integral
-        rows.append([voltage, current, current + added[k]])
-        integral += gain / integral_time * study.STEP * error
-        current = decay * current + (1 - decay) / study.R * voltage
-    np.testing.assert_allclose(record[["u", "i", "measured"]], rows, rtol=0, atol=1e-8)
-    # without noise the current gets where it is wanted within a bit: 15 samples are three time constants of the loop
-    clean = study.simulate(np.zeros(study.SAMPLES))["i"].to_numpy()
-    ends = np.arange(1, 80) * study.BIT
-    assert np.abs(clean[ends] - wanted[ends - 1]).max() < 0.1 * study.AMPLITUDE
-
-
 def test_the_noise_is_stationary_and_as_correlated_as_it_says() -> None:
     rng = np.random.default_rng(5)
     drawn = np.array([study.noise(rng, study.COLOR) for _ in range(400)])

@@ -46,16 +46,6 @@ def test_sensitivities_of_the_fault_lie_in_the_plane_of_the_others() -> None:
     assert (ends[0] - ends[1]) / (2 * step) == pytest.approx(own @ [1.0, 2 * study.TAU], abs=1e-7)
 
 
-def test_the_time_constant_is_that_of_the_healthy_record() -> None:
-    healthy = fmuid.Result.from_json(study.HERE / "healthy" / "result.json")
-    settings = fmuid.Study.read(study.HERE / "test.toml").diagnosis
-    assert settings is not None
-    assert settings.faults["turns"].fixed["tau"] == pytest.approx(healthy["L"] / healthy["R"], abs=5e-6)
-    again = fmuid.Study.read(study.HERE / "healthy.toml").identify()
-    assert again.values == pytest.approx(healthy.values, rel=1e-5)
-    assert (np.abs(healthy.values - [study.R, study.L]) < 3 * healthy.std).all()
-
-
 def test_table_1_1(single: dict[int, fmuid.Diagnosis]) -> None:
     for number, case in study.TESTS.items():
         size = single[number]["turns.dR"]
@@ -64,16 +54,6 @@ def test_table_1_1(single: dict[int, fmuid.Diagnosis]) -> None:
         assert abs(size.value - case.chapter[2]) < 4 * math.sqrt(2) * size.std
         assert single[number].kind == ("fault" if case.fault else "healthy")
     assert verdict(single[1]).text.startswith("FAULT: turns, dR = ")
-
-
-def test_identifiability_with_and_without_prior() -> None:
-    rng = np.random.default_rng(3)
-    healthy, table = study.identify(study.record(study.R, 0.0, rng)), study.record(5.0, 0.2, rng)
-    with_prior, without = study.diagnose(table, healthy), study.diagnose(table, healthy, math.inf)
-    assert with_prior["turns.dR"].is_determined
-    assert (without.kind, without.undetermined) == ("undecided", ("turns.dR",))
-    assert "UNDECIDED: turns.dR" in verdict(without).text
-    assert math.isinf(without["turns.dR"].std)
 
 
 @pytest.mark.slow

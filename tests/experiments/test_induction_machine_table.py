@@ -6,13 +6,10 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 import pytest
-from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
-import fmuid
 from experiments.induction_machine import chapter, make_table
 from fmuid.data.signals import T23
-from tests.support.closed_forms import park_rates
 
 Array = npt.NDArray[np.floating]
 
@@ -25,12 +22,6 @@ OWN = TRUTH["Lm"] * (np.eye(3) - 1 / 3)
 """Magnetising inductances of stator or rotor, H: L_p = 2/3 L_m on the diagonal, -L_p/2 off it."""
 FREE = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, -1.0]])
 """Rotor currents from the first two: the rotor has no zero sequence, along which its inductances are singular."""
-
-
-@pytest.fixture(scope="module")
-def frame(clean: pd.DataFrame) -> pd.DataFrame:
-    """The first samples of the record without noise."""
-    return clean[:SAMPLES]
 
 
 @pytest.fixture(scope="module")
@@ -105,36 +96,6 @@ def test_the_inverter_gives_the_mean_of_its_voltage(steps: pd.DataFrame) -> None
     means = np.diff(CubicSpline(times, fixed).antiderivative()(times), axis=0) / times[1] @ T23
     assert np.abs(means).max() > 150
     np.testing.assert_allclose(steps[["ua", "ub", "uc"]][:-1], means, rtol=0, atol=0.01)
-
-
-def test_the_park_machine_under_the_table_s_straight_lines(frame: pd.DataFrame) -> None:
-    """Park's equations (docs/method/induction-machine.md) with linear voltages and speed: some mA are left."""
-    times, inputs = frame["time"].to_numpy(), frame[["uds", "uqs", "w"]].to_numpy()
-
-    def park_slope(t: float, x: Array, k: int) -> list[float]:
-        share = (t - times[k]) / (times[k + 1] - times[k])
-        return park_rates(x, inputs[k] + share * (inputs[k + 1] - inputs[k]), list(TRUTH.values()))
-
-    states = np.zeros((SAMPLES, 4))
-    for k in range(SAMPLES - 1):
-        span = (times[k], times[k + 1])
-        states[k + 1] = solve_ivp(park_slope, span, states[k], "DOP853", rtol=1e-9, atol=1e-10, args=(k,)).y[:, -1]
-    assert np.abs(states[:, :2]).max() > 4.0
-    left = frame[["ids", "iqs"]].to_numpy() - states[:, :2]
-    assert np.abs(left).max() < 0.02
-    assert np.sqrt(np.mean(left**2)) < 4e-3  # the noise has 0.215 A
-
-
-def test_without_noise_the_parameters_come_back(clean: pd.DataFrame) -> None:
-    """Within 0.05 of the standard deviations that they have with the noise of the table."""
-    little = 1e-6  # A², with which the search ends where it would without noise
-    result = chapter.estimate(chapter.experiment(clean), noise=fmuid.Noise(little))
-    # what is left has a colour of its own
-    std = result.estimates.std_white_noise * np.sqrt(make_table.NOISE_VARIANCE / little)
-    assert std == pytest.approx(
-        chapter.estimate(chapter.experiment(pd.read_csv(TABLE))).estimates.std_white_noise, rel=0.05
-    )
-    assert (np.abs(result.values - chapter.TRUTH) < 0.05 * std).all()
 
 
 def test_the_committed_table_is_what_the_script_makes(clean: pd.DataFrame) -> None:

@@ -35,26 +35,6 @@ def committed() -> pd.DataFrame:
 # ---- the machine
 
 
-@pytest.mark.parametrize(("case", "warmth"), [("healthy", 1.0), ("warm", 1.3)])
-def test_without_fault_it_is_park_s_machine(case: str, warmth: float) -> None:
-    """The cage with its leakage is that with all leakage at the stator; shaft and load follow its torque."""
-    frame = make_tables.simulate(make_tables.CASES[case])
-    values = TRUTH | {name: warmth * TRUTH[name] for name in ("Rs", "Rr")}
-    outputs = ["ids", "iqs", "phidr", "phiqr"]
-    experiment = fmuid.Experiment(frame.assign(phidr=0.0, phiqr=0.0), ("uds", "uqs", "w"), outputs)
-    found = fmuid.Simulator(models.path("InductionMachine"), experiment, values=values)([])
-    left = found[:, :2] - frame[["ids", "iqs"]].to_numpy()
-    assert np.abs(found[:, :2]).max() > 6.0
-    assert np.abs(left).max() < 0.02  # straight lines between samples; the noise has 0.215 A
-    assert np.sqrt(np.mean(left**2)) < 4e-3
-    speed = frame["w"].to_numpy() / machine.POLE_PAIRS
-    torque = machine.POLE_PAIRS * (found[:, 2] * found[:, 1] - found[:, 3] * found[:, 0])
-    rate = (torque - machine.LOAD * speed) / machine.INERTIA
-    gained = np.cumsum(make_tables.SAMPLE_TIME * (rate[1:] + rate[:-1]) / 2)
-    np.testing.assert_allclose(speed[1:] - speed[0], gained, atol=0.05)
-    assert np.ptp(speed) > 20.0
-
-
 def steady_currents(condition: Condition, frequency: float, voltage: Array, angle: float) -> Array:
     """Phasors of ids, iqs at standstill, from the rates of the states."""
     matrices, count = machine.windings(condition), machine.FLUXES

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import re
 import struct
-import subprocess
 from pathlib import Path
 
-import fmpy
 import pytest
 
 from fmuid.export import export_fmu
-from fmuid.simulation.native.build import compiler_here
-from tests.support.exporting import description, members, models
+from tests.support.exporting import members, models
 from tests.support.paths import FMUS
 
 INTEL, ARM = 0x01000007, 0x0100000C
@@ -80,13 +77,3 @@ def test_binaries_of_fmi_3(tmp_path: Path) -> None:
     macs = {INTEL: binaries.pop("x86_64-darwin"), ARM: binaries.pop("aarch64-darwin")}
     check_binaries(binaries.pop("x86_64-linux"), binaries.pop("x86_64-windows"), macs, functions)
     assert not binaries
-
-
-def test_sources_rebuild(tmp_path: Path) -> None:
-    """The FMU's sources compile as its description says: the listed file, and nothing but the folder around it."""
-    fmpy.extract(str(FMUS / "Coil" / "Coil.fmu"), unzipdir=str(tmp_path))
-    listed = {file.get("name") for file in description(FMUS / "Coil" / "Coil.fmu").iter("File")}
-    assert listed == {"fmi2.c"}
-    command = [*compiler_here(), "-Wall", "-Wextra", "-shared", "-fPIC", "fmi2.c", "-o", "x.so"]
-    done = subprocess.run(command, cwd=tmp_path / "sources", capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr

@@ -171,24 +171,6 @@ def test_no_event_and_parameters_alone_make_no_events(exported: Exporter) -> Non
         assert test.get("q") == [7.0]
 
 
-def test_relations_that_share_an_indicator_and_derivatives_of_the_branch_in_force(exported: Exporter) -> None:
-    """Equal relations have one indicator, abs and sign none."""
-    shared = "y = (if x > a then 1 else 0) + (if x <= a then u else w); z = 10*abs(u) + sign(u);"
-    text = model(f"{shared}\nv = if x > a then 3*x*u else sqrt(-x)*u;", "output Real z, v;")
-    with running(exported(text)) as test:
-        assert test.description.numberOfEventIndicators == 1
-        test.initialize({"u": 5.0, "w": 7.0})
-        assert test.get("y") == [5.0]
-        test.set({"a": -1.0})
-        assert test.get("y") == [8.0]
-        for u, z in ((2.0, 21.0), (-2.0, 19.0), (0.0, 0.0)):
-            test.set({"u": u})
-            assert test.get("z") == [z]
-            assert test.slopes(["z"], "u") == [10 * np.sign(u)]
-        test.set({"u": 2.0})
-        assert [*(test.slopes(["v"], each)[0] for each in "xua")] == [6.0, 0.0, 0.0]
-
-
 @both_versions
 def test_chattering_is_an_error_that_names_the_relation_and_the_time(exported: Exporter, fmi: str) -> None:
     """Friction that holds has no solution in this form: the speed would change its sign without end."""
@@ -221,16 +203,6 @@ def test_saved_state_has_relations_and_whole_numbers(exported: Exporter, fmi: st
                 test.run(1.0, start=1.9)
                 assert test.get("x", "y", "z") == pytest.approx([0.5 + 0.9, 1.0, 5.0], abs=1e-12)
                 restore()
-
-
-def test_relation_true_from_the_start_time_on(exported: Exporter) -> None:
-    """An experiment that starts late has passed the event; one that starts on it has it at once."""
-    with running(exported(model("y = if time > 5 then 1 else 0;"))) as test:
-        for start, expected in ((6.0, 1.0), (5.0, 1.0), (4.5, 0.5), (1.0, 0.0)):
-            test.initialize(start=start)
-            test.run(0.5, 0.5, start=start)
-            assert test.get("x")[0] == pytest.approx(expected, abs=1e-12)
-            test.fmu.reset()
 
 
 @pytest.mark.parametrize("jump", ["if x > 0 then 1 else 0", "noEvent(if x > 0 then 1 else 0)", "sign(u)", "mod(u, 2)"])

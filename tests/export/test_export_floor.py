@@ -4,21 +4,16 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-import scipy.integrate
 from fmpy.validation import validate_fmu
 
 from fmuid.errors import ModelicaError
 from fmuid.export import export_fmu
 from tests.export.conftest import Exporter
-from tests.support.exported import Running, both_versions, running
+from tests.support.exported import both_versions, running
 from tests.support.modelica import integrals, model
-
-solve_ivp: Any = scipy.integrate.solve_ivp  # its types do not allow for what events take
-ACCURATE = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-13}
 
 
 @both_versions
@@ -96,42 +91,6 @@ def test_whole_numbers_are_frozen_in_continuous_time_mode(exported: Exporter, fm
         assert test.derivatives() == [-13.0]
 
 
-@both_versions
-def test_model_exchange_and_co_simulation_agree(exported: Exporter, fmi: str) -> None:
-    """An importer that stops where an indicator changes sign gets what the co-simulation gets."""
-    fmu = exported(model("y = 4 - mod(x, 0.3) - floor(a*x);", interval="0.01"), fmi=fmi)
-    with running(fmu) as test:
-        test.initialize({"a": 2.2})
-        test.run(0.8)
-        expected = test.get("x")[0]
-
-    def at(t: float, states: np.ndarray) -> Running:
-        test.at(t, *states)
-        return test
-
-    def crossing(k: int) -> Any:
-        def indicator(t: float, z: np.ndarray) -> float:
-            return at(t, z).indicators()[k]
-
-        indicator.terminal, indicator.direction = True, -1.0 if k % 2 == 0 else 1.0  # type: ignore[attr-defined]
-        return indicator
-
-    with running(fmu, model_exchange=True) as test:
-        test.initialize({"a": 2.2})
-        test.update()
-        t, x, events, crossings = 0.0, 0.0, 0, [crossing(k) for k in range(4)]
-        while t < 0.8:
-            rest = {"events": crossings, "max_step": 0.05, **ACCURATE}
-            last = solve_ivp(lambda t, z: at(t, z).derivatives(), (t, 0.8), [x], **rest)
-            t, x = last.t[-1], last.y[0, -1]
-            if last.status == 1:
-                events += 1
-                at(t, np.array([x + 1e-13])).fmu.enterEventMode()
-                test.update()
-        assert events == 8
-        assert x == pytest.approx(expected, abs=1e-11)
-
-
 def test_derivatives_and_where_there_are_no_events(exported: Exporter) -> None:
     """Derivatives are those of the piece in force."""
     quiet = "z = noEvent(floor(x)) + noEvent(mod(u, 2)) + ceil(a) + b;"
@@ -144,15 +103,6 @@ def test_derivatives_and_where_there_are_no_events(exported: Exporter) -> None:
         assert [test.slopes(["y"], each)[0] for each in "uax"] == [1.0, -2.0, 0.0]
         test.set({"u": 3.5})
         assert test.get("b", "z") == [2.0, 0.0 + 1.5 + 1.0 + 2.0]
-
-
-def test_equal_arguments_share_a_whole_number(exported: Exporter) -> None:
-    with running(exported(model("y = mod(u, a) + floor(u/a);"), fmi="3.0")) as test:
-        found = [v for v in test.description.modelVariables if v.name.startswith("integer")]
-        assert [v.name for v in found] == ["integer[1].up", "integer[1].down"]
-        assert found[0].description == "event indicator: not positive where mod(u, a) jumps up"
-        test.initialize({"u": 5.0, "a": 2.0})
-        assert test.get("y") == [3.0]
 
 
 @both_versions

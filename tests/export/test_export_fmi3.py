@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import subprocess
-import xml.etree.ElementTree as ET
 from pathlib import Path
 
-import fmpy
 import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
 
 from fmuid.errors import InputError
 from fmuid.export import export_fmu
-from fmuid.simulation.native.build import compiler_here
 from tests.export.conftest import Exporter
 from tests.support.exported import running
 from tests.support.exporting import description
@@ -25,39 +21,6 @@ models = pytest.mark.parametrize("model", ["InductionMachine", "PositionControll
 
 def source(model: str) -> str:
     return (FMUS / model / f"{model}.mo").read_text(encoding="utf-8")
-
-
-@models
-def test_co_simulation_is_that_of_fmi_2(exported: Exporter, model: str) -> None:
-    """Random parameters and held inputs, irregular steps: not a bit differs."""
-    rng = np.random.default_rng(1)
-    text = source(model)
-    assert validate_fmu(str(exported(text, fmi="3.0"))) == []
-    with running(exported(text, fmi="2.0")) as two, running(exported(text, fmi="3.0")) as three:
-        names = {v.name: v.causality for v in two.description.modelVariables}
-        assert {v.name: v.causality for v in three.description.modelVariables} == names | {"time": "independent"}
-        inputs = [name for name, causality in names.items() if causality == "input"]
-        starts = {v.name: float(v.start) for v in two.description.modelVariables if v.causality == "parameter"}
-        starts = {name: (value or 0.1) * rng.uniform(0.9, 1.1) for name, value in starts.items()}
-        assert three.fmu.getVersion() == "3.0"
-        for each in (two, three):
-            each.initialize(starts, start=0.25)
-        t = 0.25
-        for h in rng.uniform(2e-4, 3e-3, 50):
-            values = {name: rng.uniform(-10, 10) for name in inputs}
-            for each in (two, three):
-                each.set(values)
-            assert two.get(*names) == three.get(*names)
-            for each in (two, three):
-                each.run(h, start=t)
-            t += h
-            assert two.get(*names) == three.get(*names)
-        assert three.get("time") == [t]
-        final = three.get(*names)
-        three.fmu.reset()
-        three.initialize(starts, start=0.25)
-        assert three.get("time") == [0.25]
-        assert three.get(*names) != final
 
 
 @models
@@ -122,17 +85,6 @@ def test_description_of_a_model_with_events(exported: Exporter) -> None:
     }
 
 
-def test_time_is_a_dependency(exported: Exporter) -> None:
-    text = "model Clock output Real y; equation y = 2*time; annotation(experiment(StopTime=1, Interval=1)); end Clock;"
-    with running(exported(text, fmi="3.0")) as clock:
-        (output,) = clock.description.outputs
-        assert [each.name for each in output.dependencies] == ["time"]
-        clock.initialize(start=3.0)
-        assert clock.get("time", "y") == [3.0, 6.0]
-        clock.run(0.5, start=3.0)
-        assert clock.get("time", "y") == [3.5, 7.0]
-
-
 def test_state_is_saved_restored_and_serialized(exported: Exporter) -> None:
     machine = exported(source("InductionMachine"), fmi="3.0")
     with running(machine) as one, running(machine) as other:
@@ -187,16 +139,3 @@ def test_refusals(exported: Exporter) -> None:
 def test_unknown_version(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"1\.0.*2\.0.*3\.0"):
         export_fmu(FMUS / "Coil" / "Coil.mo", tmp_path / "Coil.fmu", fmi="1.0")
-
-
-def test_sources_rebuild(exported: Exporter, tmp_path: Path) -> None:
-    """As buildDescription.xml says."""
-    fmpy.extract(str(exported(source("Coil"), fmi="3.0")), unzipdir=str(tmp_path))
-    root = ET.parse(tmp_path / "sources" / "buildDescription.xml").getroot()
-    (configuration,) = root
-    assert configuration.get("modelIdentifier") == "Coil"
-    sources = [str(each.get("name")) for each in root.iter("SourceFile")]
-    assert sources == ["fmi3.c"]
-    command = [*compiler_here(), "-std=c99", "-Wall", "-shared", "-fPIC", *sources, "-o", "x.so"]
-    done = subprocess.run(command, cwd=tmp_path / "sources", capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")

@@ -68,22 +68,6 @@ def test_against_the_closed_form(exported: Exporter) -> None:
         )
 
 
-def test_names_units_and_roles(exported: Exporter) -> None:
-    fmu = exported(DRIVE, sensitivities=("k", "J"))
-    with running(fmu) as drive:
-        found = {v.name: v for v in drive.description.modelVariables if v.name.startswith("sens.")}
-    assert {name: (v.causality, v.unit) for name, v in found.items()} == {
-        "sens.k.i": ("output", "A.rad/(V.s)"),
-        "sens.k.w": ("local", "rad.rad/(s.V.s)"),
-        "sens.k.p": ("output", "W.rad/(V.s)"),
-        "sens.J.i": ("output", None),
-        "sens.J.w": ("local", None),
-        "sens.J.p": ("output", None),
-    }
-    assert found["sens.k.i"].description == "derivative of current with respect to k"
-    assert found["sens.k.i"].nominal == "6.0"
-
-
 @pytest.mark.parametrize(
     ("names", "text"),
     [
@@ -94,16 +78,3 @@ def test_names_units_and_roles(exported: Exporter) -> None:
 def test_unknown_parameters(tmp_path: Path, names: list[str], text: str) -> None:
     with pytest.raises(InputError, match=text):
         export_fmu(FMUS / "Coil" / "Coil.mo", tmp_path / "Coil.fmu", sensitivities=names)
-
-
-def test_models_without_states_or_parameters(exported: Exporter) -> None:
-    text = (
-        "model Gain {} input Real u; output Real y; equation y = {}*u;\n"
-        "annotation(experiment(StopTime=1, Interval=1)); end Gain;"
-    )
-    with running(exported(text.format("parameter Real a = 3;", "a*a"), sensitivities="all")) as gain:
-        gain.initialize({"u": 2.0})
-        assert gain.get("y", "sens.a.y") == [18.0, 12.0]
-    plain = exported(text.replace("Gain", "None").format("", "2"), sensitivities="all")
-    with running(plain) as gain:
-        assert {*gain.references} == {"u", "y"}

@@ -88,19 +88,6 @@ def test_zero_short_circuit_is_the_healthy_stator(frame: pd.DataFrame) -> None:
     np.testing.assert_array_equal(run(path("StatorShortCircuitContact"), frame, *stator, {"Rs": 8.5}), 0.0)
 
 
-def test_the_sum_is_that_of_both(frame: pd.DataFrame) -> None:
-    """Machine and fault alone, added by hand: one name sets the resistance of both, one the voltages."""
-    ratios = {"eta_a": 0.02, "eta_b": 0.01, "eta_c": 0.03}
-    outputs = ["machine.ids + fault.ids", "machine.iqs + fault.iqs"]
-    values = MACHINE | {f"fault.{name}": ratio for name, ratio in ratios.items()}
-    found = run(models.stator(), frame, [*INPUTS, "theta"], outputs, values)
-    healthy = run(path("InductionMachine"), frame, INPUTS, ["ids", "iqs"], MACHINE)
-    fault_values = ratios | {"Rs": MACHINE["Rs"]}
-    fault = run(path("StatorShortCircuit"), frame, ["uds", "uqs", "theta"], ["ids", "iqs"], fault_values)
-    assert np.abs(fault).max() > 0.1
-    np.testing.assert_allclose(found, healthy + fault, rtol=0, atol=1e-12)
-
-
 @pytest.mark.parametrize("phase", range(3))
 def test_shorted_turns_of_one_phase(frame: pd.DataFrame, phase: int) -> None:
     """A current η u/R_s in one phase alone, u being the voltage of that phase, transformed by the table's own way."""
@@ -135,25 +122,6 @@ def test_broken_bars_of_a_cage() -> None:
     fluxes = run(path("InductionMachineRotorFault"), frame, INPUTS, ["phidr", "phiqr"], values)
     currents = np.array([1.3, -0.6]) - np.array([0.4, 0.7]) / MACHINE["Lm"]
     np.testing.assert_allclose(np.diff(fluxes, axis=0)[0] / 1e-6, resistance @ currents, rtol=1e-3)
-
-
-def test_a_small_loss_of_turns_is_that_of_the_linear_coil(frame: pd.DataFrame) -> None:
-    """With ΔR = −ηR the linear one lacks η²L; the difference goes with the square."""
-    off = []
-    for lost in (0.01, 0.02):
-        exact = run(path("CoilTurns"), frame, ["u"], ["i"], COIL | {"lost": lost})
-        linear = {"dR": -lost * 3.3, "tau": 0.08 / 3.3}
-        off.append(np.abs(run(path("FaultyCoil"), frame, ["u"], ["i"], COIL | linear) - exact).max())
-    assert 1e-6 < off[0] < off[1] / 3.5 < off[0] * 1.2
-
-
-def test_the_short_circuits_agree_where_contact_and_star_point_matter_little(frame: pd.DataFrame) -> None:
-    stator = ["uds", "uqs", "theta"], ["ids", "iqs"]
-    found = [
-        run(path(name), frame, *stator, {"Rs": 8.5, "eta_b": 1e-4} | more)
-        for name, more in (("StatorShortCircuit", {}), ("StatorShortCircuitContact", {"contact": 0.0}))
-    ]
-    np.testing.assert_allclose(found[1], found[0], rtol=0, atol=2e-4 * np.abs(found[0]).max())
 
 
 def test_a_broken_bar_between_rings_of_no_resistance(frame: pd.DataFrame) -> None:

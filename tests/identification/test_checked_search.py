@@ -74,13 +74,6 @@ def test_the_start_shows_it(folder: Path, internal: float) -> None:
     assert abs(unchecked["k"] - result["k"]) > 1e-4
 
 
-def test_where_the_start_fails(folder: Path) -> None:
-    """Euler's steps of 0.05 s explode for k = 1e4."""
-    result = fmuid.identify(solved(folder, k=1e4, exchange=True), restart=False)
-    assert [switch.cause for switch in checked(result).switches] == [SwitchCause.START_FAILED]
-    assert off(result) < 3.0
-
-
 @pytest.mark.parametrize("loss", ["linear", "huber"])
 def test_the_optimum_shows_it(folder: Path, loss: str) -> None:
     """At a start with hardly any dynamics both agree; the search goes on from the estimates."""
@@ -92,21 +85,6 @@ def test_the_optimum_shows_it(folder: Path, loss: str) -> None:
     assert off(result) < 3.0
     assert result.estimates.start[0] == 0.05
     assert result.trace["iteration"].is_monotonic_increasing
-
-
-@pytest.mark.parametrize("told", [True, False])
-def test_shorter_steps_where_there_is_no_model_exchange(folder: Path, told: bool) -> None:
-    result = fmuid.identify(solved(folder, told=told))
-    assert checked(result).outcome is AccuracyOutcome.PASSED
-    assert refinement_of(result) == Refinement(None, 4)
-    assert result.setup.models[""]["run"]["divisor"] == 4
-    assert off(result) < 3.0
-
-
-def test_internal_steps_cannot_be_checked(folder: Path) -> None:
-    result = fmuid.identify(solved(folder, internal=STEP))
-    assert checked(result).outcome is AccuracyOutcome.UNCHECKABLE
-    assert np.isnan(result.solver_error).all()
 
 
 @pytest.mark.parametrize("k", [0.05, 1.0])
@@ -291,20 +269,3 @@ def test_a_continuous_control_is_for_the_study_to_say(folder: Path) -> None:
     assert checked(unsaid).outcome is AccuracyOutcome.COUPLED
     assert checked(said).divisor > 1
     assert off(said) < 3.0
-
-
-def test_sampled_controllers_keep_their_steps() -> None:
-    """A drive that is integrated in shorter steps stays the same plant; its controller acts no more often."""
-    names = {"drive": "PositionDrive", "controller": "PositionController"}
-    models = {name: FMUS / model / f"{model}.fmu" for name, model in names.items()}
-    links = [("drive.q", "controller.q"), ("drive.dq", "controller.dq"), ("controller.v", "drive.v")]
-    system = fmuid.System(components=models, connections=links)
-    times = 1e-3 * np.arange(400)
-    frame = pd.DataFrame({"time": times, "controller.qg": 1e-4 * (1.0 - np.cos(20.0 * times))})
-    table = fmuid.Experiment(frame, ["controller.qg"], ["controller.v"], interpolation="zoh", measured=False)
-    plain = fmuid.Simulator(system, table)([])
-    finer = fmuid.Simulator(system, table, divisor=4)([])
-    faster = fmuid.Simulator(system, table, step_size=2.5e-4)([])
-    scale = np.abs(plain).max()
-    assert np.abs(finer - plain).max() < 1e-6 * scale
-    assert np.abs(faster - plain).max() > 1e-4 * scale

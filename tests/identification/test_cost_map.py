@@ -13,7 +13,7 @@ from fmuid.array_types import Floats
 from fmuid.data import Noise, Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation import Evaluator, LeastSquares, Result
-from fmuid.identification import CostMap, map_cost, region_rise
+from fmuid.identification import CostMap, map_cost
 from tests.support.results import changed
 from tests.support.results import identify_white as identify
 
@@ -72,16 +72,6 @@ def test_default_reach() -> None:
     assert chart.logarithmic == (False, False)
 
 
-def test_chosen_reach() -> None:
-    problem = linear(2, min=0.1, max=10.0)
-    bounds, _ = chart_of(problem, ranges={"a": (0.1, 10.0), "b": (0.1, 10.0)}, points=3)
-    np.testing.assert_allclose(bounds.grid[0], [0.1, 1.0, 10.0])
-    assert bounds.logarithmic == (True, True)
-    chosen, result = chart_of(problem, ranges={"b": (1.0, 4.0)}, points=3)
-    np.testing.assert_allclose(chosen.grid[1], [1.0, 2.5, 4.0])
-    assert chosen.grid[0][1] == pytest.approx(result["a"])
-
-
 def test_undetermined_parameters_reach_to_their_bounds() -> None:
     """Or, without bounds, as far as they are large; there is no ellipse."""
     problem = LeastSquares.from_function(
@@ -96,20 +86,6 @@ def test_undetermined_parameters_reach_to_their_bounds() -> None:
     assert chart.ellipse().shape == (0, 2)
     with pytest.raises(InputError, match="between 0 and 1"):
         chart.ellipse(95.0)
-
-
-def test_failures_are_nan() -> None:
-    def simulate(theta: Floats) -> Floats:
-        if theta[0] > 1.6:
-            raise FloatingPointError
-        return np.asarray(BASIS[:, :2] @ theta)
-
-    problem = LeastSquares.from_function(
-        simulate, BASIS[:, :2] @ [1.0, 2.0], {"a": Parameter(0.9), "b": Parameter(1.9)}
-    )
-    chart, _ = chart_of(problem, ranges={"a": (0.0, 3.0), "b": (0.0, 3.0)}, points=5)
-    first, _, values = chart.grid
-    np.testing.assert_array_equal(np.isnan(values), np.repeat(first[:, None] > 1.6, 5, axis=1))
 
 
 @pytest.mark.parametrize(
@@ -164,9 +140,3 @@ def test_ellipse_among_more_parameters() -> None:
         assert free == pytest.approx(stats.chi2(2).ppf(0.95), rel=1e-5)
         assert held > free
     np.testing.assert_allclose(chart.ellipse()[0], chart.ellipse()[-1])
-
-
-def test_the_rise_of_a_region_is_a_quantile() -> None:
-    assert region_rise(0.95, np.inf) == pytest.approx(stats.chi2.ppf(0.95, 2))
-    for freedom in (1.0, 7.5, 4000.0):
-        assert region_rise(0.9, freedom) == pytest.approx(2.0 * stats.f.ppf(0.9, 2, freedom))

@@ -21,7 +21,7 @@ from fmuid.codec import as_json
 from fmuid.estimation import RestartAttempt, SearchFailure, StartingPointSource
 from fmuid.identification import starting_points
 from fmuid.identification.equation_error_start import SETTINGS, equation_start
-from fmuid.identification.starting_points import EndedSearch, best_of, is_confirmed
+from fmuid.identification.starting_points import EndedSearch, is_confirmed
 from tests.support.exported import export_text
 from tests.support.paths import FMUS
 
@@ -84,23 +84,6 @@ def test_the_equations_give_a_start_and_the_initial_states(motor: Path, record: 
 
 
 NONE, UNFINISHED, LARGE = SearchFailure.NONE, SearchFailure.UNFINISHED, SearchFailure.LARGE_RESIDUAL
-
-
-@pytest.mark.parametrize(
-    ("ended", "best"),
-    [
-        ([(UNFINISHED, -1600.35), (NONE, -1600.34)], 1),  # it fits as well, and has an end
-        ([(UNFINISHED, -1600.0), (NONE, -1590.0)], 0),
-        ([(LARGE, 5.0), (UNFINISHED, 4.0), (LARGE, 4.5)], 2),
-        ([(UNFINISHED, -np.inf), (NONE, 1.0)], 0),
-    ],
-)
-def test_of_searches_that_fit_alike_one_that_ended_is_kept(ended: list[tuple[SearchFailure, float]], best: int) -> None:
-    searches = [
-        EndedSearch(worth, RestartAttempt(StartingPointSource.GIVEN, trouble), k, worth)  # type: ignore[arg-type]
-        for k, (trouble, worth) in enumerate(ended)
-    ]
-    assert best_of(searches).number == best
 
 
 @pytest.fixture(scope="module")
@@ -216,24 +199,6 @@ def test_searches_agree_in_cost_and_estimates(
 ) -> None:
     one, other = ended(StartingPointSource.GIVEN, [1.0, 2.0], number=1), ended(remedy, [value, 7.0], worth)
     assert is_confirmed(one, [other, one], equation_ratio) == confirmed
-
-
-def test_where_nothing_helps_the_error_is_that_of_the_start() -> None:
-    coil = FMUS / "Coil" / "Coil.fmu"
-    frame = pd.DataFrame({"time": np.linspace(0.0, 1.0, 50), "u": 1.0, "i": np.linspace(0.0, 0.2, 50)})
-    parameters = {"R": fmuid.Parameter(4.0), "i_start": fmuid.Parameter(0.0, min=-1e-30, max=1e-30, nominal=1e-30)}
-    whole = fmuid.Problem(coil, fmuid.Experiment(frame, ["u"], ["i"]), parameters)
-    with pytest.raises(fmuid.InputError) as plain:
-        fmuid.identify(whole, restart=False)
-    with pytest.raises(fmuid.InputError) as guarded:
-        fmuid.identify(whole)
-    assert str(guarded.value) == str(plain.value)
-
-
-def test_the_noise_of_an_output_is_never_zero(curved: Path) -> None:
-    frame = pd.DataFrame({"time": np.linspace(0.0, 1.0, 20), "y": np.zeros(20)})
-    flat = fmuid.Problem(curved, fmuid.Experiment(frame, [], ["y"]), {"a": fmuid.Parameter(1.0)})
-    assert (flat.shown_noise > 0.0).all()
 
 
 def test_no_search_goes_back_to_a_rougher_simulation(motor: Path) -> None:

@@ -28,7 +28,7 @@ from fmuid.estimation import (
     Verdict,
     WeakDirection,
 )
-from fmuid.identification import Assessment, judge
+from fmuid.identification import judge
 from tests.support.closed_forms import coil_response
 from tests.support.paths import FMUS
 from tests.support.results import made_up
@@ -101,16 +101,6 @@ CASES: dict[str, tuple[Result, list[Reason]]] = {
 def test_each_reason_comes_from_its_check(name: str) -> None:
     result, reasons = CASES[name]
     assert list(judge(result).reasons) == reasons
-
-
-def test_fits_gaps_and_explored_checks_give_reasons() -> None:
-    found = judge(PLAIN, Assessment(interrupted=True), {("y",): 49.9, ("x",): 50.0, ("c",): math.nan}, {"run": (1.2,)})
-    assert [(each.reason, each.subject) for each in found.doubts] == [
-        (Reason.INTERRUPTED, ()),
-        (Reason.POOR_FIT, ("y",)),
-        (Reason.MISSING_ROWS, ("run",)),
-    ]
-    assert found.doubts[1].values == {"fit": 49.9}
 
 
 def test_the_gravest_reason_decides() -> None:

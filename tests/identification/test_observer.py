@@ -15,10 +15,8 @@ from scipy.linalg import expm
 import fmuid
 from fmuid.identification import with_observer
 from fmuid.identification.observer import observer_gain
-from fmuid.reports.topics.termination import result_remarks
 from fmuid.simulation import RightHandSide
 from tests.support.exported import export_text
-from tests.support.running import run_study
 
 CART = """model Cart
   parameter Real m = 1;
@@ -85,18 +83,6 @@ def test_between_corrections_cvode_goes_on_with_its_history(cart: Path) -> None:
     assert (side.corrected(gain, 1e-5, 1000)(theta) != plain).any()
 
 
-def test_a_right_model_is_found_with_an_observer_too(cart: Path) -> None:
-    whole = with_observer(problem(cart, 0.0))
-    result = fmuid.identify(whole)
-    assert result.converged
-    assert result.history.restarts == ()
-    assert result.accuracy is None
-    assert result.setup.observer == 3.0
-    assert [result["m"], result["d"]] == pytest.approx([M, D], rel=1e-3)
-    assert "3 samples" in str(fmuid.Document.of(result))
-    assert any(each.tone == "doubt" for each in result_remarks(result))
-
-
 def test_an_error_of_the_model_pulls_output_error_more(cart: Path) -> None:
     """What integrates keeps a force that the model has not; the observer forgets it."""
     whole = problem(cart, 0.3)
@@ -144,17 +130,6 @@ observer_memory = 5
 def study(folder: Path, fmu: Path, *, outputs: str = '["q"]', more: str = "") -> fmuid.Study:
     text = STUDY.format(fmu=fmu.as_posix(), outputs=outputs, more=more)
     return fmuid.Study.of(tomllib.loads(text), folder / "study.toml")
-
-
-@pytest.mark.usefixtures("blank_figures")
-def test_a_study_asks_for_an_observer(cart: Path, tmp_path: Path) -> None:
-    record(0.3).to_csv(tmp_path / "table.csv", index=False)
-    asked = study(tmp_path, cart)
-    found = run_study(asked, tmp_path / "out")
-    by_hand = fmuid.identify(with_observer(problem(cart, 0.3), 5.0))
-    assert found.result.setup.observer == 5.0
-    assert found.result.values == pytest.approx(by_hand.values, rel=1e-6)
-    assert fmuid.Result.from_json(tmp_path / "out" / "result.json").setup.observer == 5.0
 
 
 def test_a_study_is_told_what_an_observer_cannot(cart: Path, tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ from fmuid.identification import (
 )
 from fmuid.studies import Study
 from tests.support.paths import ROOT
-from tests.support.problems import ar1, coil_problem
+from tests.support.problems import ar1
 from tests.support.results import changed
 
 STUDY = ROOT / "experiments" / "induction_machine" / "study.toml"
@@ -173,34 +173,6 @@ def test_whose_prior_moved_what() -> None:
     assert ("b", "a") in {(each.name, each.prior) for each in reading.influences}
 
 
-def test_data_that_determine_combinations_only() -> None:
-    """The coil: two priors and two determined combinations of three parameters have one direction in common."""
-    problem = coil_problem(prior=True)
-    result = identify(problem)
-    reading = compare_prior_and_data(problem, result, search_data=True)
-    assert np.isnan(reading.data).all()
-    assert np.isinf(reading.data_std).all()
-    assert not reading.searched
-    assert reading.agreement is not None
-    assert reading.agreement.degrees_of_freedom == 1
-    assert reading.agreement.holds
-    assert reading.obstacle is None
-    json.dumps(as_json(reading), allow_nan=False)
-
-
-def test_nothing_in_common() -> None:
-    """A prior on what the data say nothing about can neither agree nor disagree."""
-    measured = noisy(np.random.default_rng(6))
-    parameters = {name: Parameter(1.0) for name in NAMES} | {"d": Parameter(1.0, prior=Normal(2.0, 0.5))}
-    problem = LeastSquares.from_function(lambda theta: PHI @ theta[:3], measured, parameters, noise=Noise(VARIANCE))
-    result = identify(problem)
-    assert result["d"] == pytest.approx(2.0)
-    reading = compare_prior_and_data(problem, result)
-    assert reading.agreement is None
-    np.testing.assert_allclose(reading.data[:3], linear_least_squares(PHI, measured).values, rtol=1e-6)
-    assert np.isnan(reading.data[3])
-
-
 @pytest.mark.campaign
 @pytest.mark.parametrize("colour", [0.0, 0.8])
 def test_false_alarms_come_as_often_as_the_level_says(colour: float) -> None:
@@ -247,18 +219,6 @@ def test_the_known_variance() -> None:
     for healthy, said in (({"x": 1.0}, "unknown output 'x'"), ({"u": 0.0}, "variance of 'u' must be positive")):
         with pytest.raises(InputError, match=f"healthy: {said}"):
             compare_prior_and_data(problem, result, healthy=healthy)
-
-
-def test_a_robust_loss_is_extrapolated() -> None:
-    rng = np.random.default_rng(12)
-    y = noisy(rng)
-    y[::20] += 5.0
-    problem, result = linear(y, joint(), loss="huber")
-    reading = compare_prior_and_data(problem, result, search_data=True)
-    assert reading.obstacle == ExtrapolationReason(robust=True)
-    alone = linear(y, loss="huber")[1]
-    assert (np.abs(reading.data - alone.values) < 0.5 * alone.std).all()
-    np.testing.assert_allclose(reading.data_std, alone.std, rtol=0.1)
 
 
 def test_a_search_that_ends_at_a_bound_is_said() -> None:

@@ -10,12 +10,10 @@ import numpy.typing as npt
 import pytest
 from scipy.optimize import brentq, least_squares
 from scipy.stats import f as f_distribution
-from scipy.stats import norm
 
-from fmuid.data import Noise, Normal, Parameter
+from fmuid.data import Noise, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation import ActiveBound, LeastSquares, Result
-from fmuid.events import Event, ProfileStep
 from fmuid.identification import EndKind, Profile, profile_likelihood
 from tests.support.problems import coil as faulty_coil
 from tests.support.results import identify_white as identify
@@ -82,21 +80,6 @@ def test_linear_equals_student() -> None:
     np.testing.assert_allclose(found, result.intervals(level).to_numpy(), rtol=0, atol=1e-6 * half.max())
 
 
-def test_linear_given_variance_and_prior() -> None:
-    """With the variance given the quantile is the normal one; the prior counts as data."""
-    problem, phi = linear(noise=Noise(variance=0.5), priors={"b": Normal(0.0, 0.05)})
-    result = identify(problem)
-    precision = phi.T @ phi / 0.5 + np.diag([0.0, 1.0 / 0.05**2, 0.0])
-    theta = np.linalg.solve(precision, phi.T @ problem.measured / 0.5)
-    half = norm.ppf(0.5 + LEVEL / 2) * np.sqrt(np.diag(np.linalg.inv(precision)))
-    found = profile_likelihood(problem, result)
-    np.testing.assert_allclose(
-        ends(found), np.column_stack([theta - half, theta + half]), rtol=0, atol=1e-6 * half.max()
-    )
-    assert found[0].threshold == pytest.approx(norm.ppf(0.975) ** 2)
-    assert all(not profile.remarks for profile in found)
-
-
 def brute(problem: LeastSquares, result: Result, index: int, value: float) -> float:
     """Return the least cost with one parameter held, by scipy from several starts."""
     sigma = math.sqrt(next(iter(result.fit.noise_variance.values())))
@@ -139,15 +122,6 @@ def test_nonlinear_against_brute_force() -> None:
         assert row.cost == pytest.approx(float(residual @ residual), rel=1e-12)
     assert profile.minimum == profile.cost.min()
     assert profile.values[0] <= profile.lower < profile.value < profile.upper <= profile.values[-1]
-
-
-def test_flat_is_not_given_a_number() -> None:
-    problem, result = coil()
-    assert not np.isfinite(result.std).any()
-    for profile in profile_likelihood(problem, result):
-        assert (profile.lower, profile.upper) == (-math.inf, math.inf)
-        assert [each.kind for each in profile.remarks] == [EndKind.FLAT, EndKind.FLAT]
-        assert (profile.cost - profile.minimum).max() < 1e-3
 
 
 def test_ends_by_the_bounds_of_others() -> None:
@@ -218,26 +192,6 @@ def test_better_optimum_is_said() -> None:
     assert any(each.kind is EndKind.LOWER for each in profile.remarks)
     better = profile.values[np.argmin(profile.cost)]
     assert identify(problem, start=[better])["w"] == pytest.approx(3.0, abs=0.02)
-
-
-def test_interrupted_keeps_what_there_is() -> None:
-    problem, _ = linear()
-    seen: list[ProfileStep] = []
-
-    def stop(point: Event) -> None:
-        assert isinstance(point, ProfileStep)
-        seen.append(point)
-        if point.name == "b" and point.rise > 1.0:
-            raise KeyboardInterrupt
-
-    found = profile_likelihood(problem, identify(problem), progress=stop)
-    assert [profile.name for profile in found] == ["a", "b"]
-    assert math.isfinite(found[0].upper)
-    assert not found[0].remarks
-    assert [each.interrupted for each in found] == [False, True]
-    assert math.isnan(found[1].lower)
-    assert len(found[1].table) > 1
-    assert seen[0].threshold == found[0].threshold
 
 
 def test_wrong_use() -> None:

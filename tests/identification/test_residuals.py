@@ -1,6 +1,5 @@
 """Residual diagnostics: rows and gaps, tests and their words, the scatter of estimates in coloured noise, figures."""
 
-import dataclasses
 import json
 import math
 from typing import Any
@@ -72,28 +71,6 @@ def test_colored_noise_is_a_defect() -> None:
     assert found.table["correlation_time"][0] == pytest.approx(0.19, rel=0.4)
 
 
-def test_significant_but_slight_defects() -> None:
-    """Unlikely by chance, an autocorrelation of 0.07 and a correlation of 0.05 with the input."""
-    series = only(examined(white(1)))
-    u = dataclasses.replace(series.inputs[0], correlation=0.05, probability=1e-9)
-    correlations = np.concatenate([[1.0, 0.07], np.zeros(24)])
-    whiteness = dataclasses.replace(series.whiteness, autocorrelation=correlations, probability=1e-9)
-    slight = dataclasses.replace(series, whiteness=whiteness, inputs=(u,))
-    found = ResidualAnalysis((slight,), {"level": 1.0})
-    assert traits(found) == [(ResidualDefect.COLORED, False), (ResidualDefect.INPUT, False)]
-
-
-def test_samples_on_no_grid() -> None:
-    rng = np.random.default_rng(15)
-    times = np.cumsum(rng.exponential(1.0, 100))
-    frame = pd.DataFrame({"time": times, "y": 1.0 + rng.standard_normal(100)})
-    predictor = FunctionPredictor(lambda theta: np.full((100, 1), theta[0]), (100, 1))
-    problem = LeastSquares([predictor], [Experiment(frame, outputs=["y"])], {"level": Parameter(1.0)})
-    found = analyze_residuals(problem, identify(problem))
-    assert found.off_grid == (("experiment", "y"),)
-    assert as_json(found)["off_grid"] == [["experiment", "y"]]
-
-
 @pytest.mark.parametrize("share", [0.0, 0.2])
 def test_low_frequency_noise(share: float) -> None:
     """Of 98 % from sample to sample: a time constant of 50 samples, 0.5 s, and 20 % of the variance."""
@@ -138,16 +115,6 @@ def test_a_prior_feels_no_colour() -> None:
     assert with_prior["slow"] == pytest.approx(alone["slow"], rel=0.05)
 
 
-def test_an_offset_is_named() -> None:
-    """Without a parameter for the level, an offset stays in the residual."""
-    frame = pd.DataFrame({"time": TIMES, "y": REGRESSORS[:, 1] + 0.5 + white(7)})
-    predictor = FunctionPredictor(lambda theta: REGRESSORS[:, 1] * theta[0], (COUNT, 1))
-    problem = LeastSquares([predictor], [Experiment(frame, outputs=["y"])], {"slow": Parameter(2.0)})
-    found = analyze_residuals(problem, identify(problem))
-    assert (ResidualDefect.OFFSET, True) in traits(found)
-    assert only(found).mean_probability < 1e-10
-
-
 def test_a_forgotten_input_is_named() -> None:
     noise = white(8)
     noise[5:] += 0.6 * INPUT[:-5]
@@ -158,14 +125,6 @@ def test_a_forgotten_input_is_named() -> None:
     assert one.correlation == pytest.approx(0.6 / math.sqrt(1.36), abs=0.08)
     assert (ResidualDefect.INPUT, True) in traits(found)
     assert found.table["input"].tolist() == ["u"]
-
-
-def test_outliers_are_named() -> None:
-    noise = white(9)
-    noise[::100] *= 12.0
-    found = examined(noise)
-    assert traits(found) == [(ResidualDefect.SHAPE, True)]
-    assert 5 <= only(found).outliers <= 10
 
 
 def test_residuals_that_cannot_be_examined() -> None:

@@ -3,44 +3,21 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
 from scipy import stats
 from scipy.integrate import quad
 
-from fmuid.data import Experiment, Noise, Normal, Parameter
+from fmuid.data import Noise, Normal, Parameter
 from fmuid.errors import InputError
-from fmuid.estimation import Evaluator, FunctionPredictions, LeastSquares
+from fmuid.estimation import Evaluator, LeastSquares
 from fmuid.events import Event, SamplingStep
 from fmuid.identification import SamplerSettings, SamplingWarning, sample_posterior
 from fmuid.identification.posterior import effective_size, r_hat
 from fmuid.identification.sampler import log_density
 from tests.support.posteriors import Array, linear, sampled
 from tests.support.results import identify_white as identify
-
-
-def test_ensembles_run_as_batches() -> None:
-    """Half of the walkers, or all, are simulated at once, in the order of rows."""
-    sizes: list[int] = []
-
-    class Counting:
-        def many(self, thetas: Any) -> FunctionPredictions:
-            given = np.asarray(thetas, dtype=np.float64)
-            sizes.append(len(given))
-            return FunctionPredictions((given @ np.ones((2, 5)))[:, :, None], (None,) * len(given))
-
-    rng = np.random.default_rng(0)
-    every = np.ones((5, 1), dtype=np.bool_)
-    table = Experiment.of_arrays("run", np.arange(5.0), ("y",), rng.normal(size=(5, 1)), every)
-    priors = {name: Parameter(1.0, prior=Normal(0.0, 1.0)) for name in ("a", "b")}
-    problem = LeastSquares([Counting()], [table], priors)
-    result = identify(problem)
-    sizes.clear()
-    posterior = sample_posterior(problem, result, SamplerSettings(walkers=20, max_steps=60))
-    assert set(sizes[-len(posterior.chain) :]) <= {10, 20}
-    assert posterior.simulations == sum(sizes)
 
 
 @pytest.mark.slow
@@ -240,16 +217,3 @@ def test_density_of_a_robust_loss() -> None:
     exact = top - 0.5 * (freedom + 2.0) * np.log1p(square / freedom)
     np.testing.assert_allclose(posterior.log_density[-1], exact, rtol=1e-8)
     assert posterior.converged
-
-
-def test_density_outside_and_where_simulations_fail() -> None:
-    def fragile(theta: Array) -> Array:
-        if theta[0] < 0.0:
-            raise ArithmeticError("negative")
-        values: Array = theta[0] * np.arange(3.0)
-        return values
-
-    problem = LeastSquares.from_function(fragile, [0.0, 1.1, 2.0], {"a": Parameter(1.0, max=3.0)})
-    found = log_density(Evaluator(problem))(np.array([[-0.5], [1.0], [3.0], [3.5]]))
-    assert list(np.isfinite(found)) == [False, True, True, False]
-    assert (found[[0, 3]] == -np.inf).all()

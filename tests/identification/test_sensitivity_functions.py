@@ -8,12 +8,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmuid.array_types import Floats
-from fmuid.data import Experiment, Noise, Normal, Parameter
+from fmuid.data import Experiment, Normal, Parameter
 from fmuid.errors import InputError
-from fmuid.identification import Problem, expected_accuracy, identify, rank_excitations, sensitivity_functions
+from fmuid.identification import expected_accuracy, rank_excitations, sensitivity_functions
 from fmuid.models import System
-from tests.support.closed_forms import coil_response
 from tests.support.paths import FMUS
 
 COIL = System.of(FMUS / "Coil/Coil.fmu")
@@ -40,23 +38,6 @@ def test_a_step_against_its_closed_form() -> None:
     bounds = {"R": Parameter(R, min=R), "L": Parameter(L, max=L)}  # where differences are one-sided
     beside = sensitivity_functions(COIL, excitation(2.0), bounds)
     np.testing.assert_allclose(beside.values, found.values, atol=1e-5)
-
-
-def test_the_promise_is_what_identification_gives() -> None:
-    rng = np.random.default_rng(1)
-    voltage: Floats = np.repeat(rng.choice([-1.0, 1.0], 20), 15)
-    promised = expected_accuracy(COIL, excitation(voltage), PARAMETERS, {"i": NOISE**2})
-    current = coil_response(TIMES, voltage, R, L, linear=False) + NOISE * rng.standard_normal(300)
-    measured = excitation(voltage).with_outputs(current[:, None])
-    result = identify(Problem(COIL, measured, PARAMETERS, noise=Noise(NOISE**2)))
-    local = result.fit.linearization
-    assert local is not None
-    white = np.sqrt(np.diag(local.combined.covariance))
-    np.testing.assert_allclose(list(promised.std.values()), white, rtol=0.05)
-    relative = white / np.array([R, L])
-    assert promised.worst == pytest.approx(relative.max(), rel=0.05)
-    information = np.linalg.inv(local.combined.covariance / np.outer([R, L], [R, L]))
-    assert promised.log_determinant == pytest.approx(np.linalg.slogdet(information)[1], abs=0.1)
 
 
 def test_excitations_are_ranked() -> None:

@@ -8,10 +8,8 @@ import pytest
 from scipy import stats
 
 from fmuid.array_types import Floats
-from fmuid.data import Experiment
 from fmuid.estimation import Autoregression, FitProjection, LaggedSeries, NoiseModel, OutputSeries, normality, whiteness
 from fmuid.estimation.noise.whiteness_tests import autocorrelation, ljung_box
-from fmuid.identification.residual_series import examine_outputs
 from tests.support.problems import ar1
 
 
@@ -31,13 +29,6 @@ def white_model(count: int) -> NoiseModel:
     return NoiseModel(series, Autoregression(np.zeros(0), 1.0, count))
 
 
-def with_gaps(rng: np.random.Generator, values: Floats, share: float) -> Floats:
-    values = values.copy()
-    values[rng.random(values.size) < share] = np.nan
-    values[[0, -1]] = 0.1, -0.1
-    return values
-
-
 def test_autocorrelation_by_hand() -> None:
     grid = np.array([1.0, 3.0, np.nan, 2.0, 6.0])
     found, pairs = autocorrelation(grid, 3)
@@ -55,16 +46,6 @@ def test_ljung_box_is_the_published_formula() -> None:
     expected = 150 * 152 * sum(r[k] ** 2 / (150 - k) for k in range(1, 8))
     assert statistic == pytest.approx(expected, rel=1e-12)
     assert probability == pytest.approx(stats.chi2(7).sf(expected), rel=1e-9)
-
-
-def test_white_noise_is_called_coloured_as_often_as_the_level_says() -> None:
-    rng = np.random.default_rng(6)
-    probabilities = []
-    for _ in range(400):
-        grid = with_gaps(rng, rng.standard_normal(300), 0.3)
-        probabilities.append(ljung_box(*autocorrelation(grid, 25))[1])
-    assert np.mean(np.array(probabilities) < 0.05) == pytest.approx(0.05, abs=0.04)
-    assert np.mean(np.array(probabilities) < 0.5) == pytest.approx(0.5, abs=0.09)
 
 
 def test_whiteness_in_short_records_that_a_fit_has_smoothed() -> None:
@@ -131,14 +112,3 @@ def test_the_band_is_bartletts_sum() -> None:
     series = LaggedSeries(lagged(u, 10), u)
     assert series.correlate(x, noise).std == pytest.approx(math.sqrt(total / 400), rel=1e-9)
     assert series.correlate(x, np.ones(1)).std == pytest.approx(math.sqrt(1.0 / 400), rel=1e-9)
-
-
-@pytest.mark.parametrize("share", [0.0, 0.6])
-def test_a_mean_is_judged_by_the_independent_samples_it_is_of(share: float) -> None:
-    """Of noise with the autocorrelation share^lag, n samples are worth n (1 - share)/(1 + share) in a mean."""
-    values = 0.1 + ar1(np.random.default_rng(3), share, 4000)
-    table = Experiment.of_arrays("run", np.arange(4000.0), ("y",), values[:, None], np.ones((4000, 1), dtype=np.bool_))
-    (series,) = examine_outputs(table, np.zeros((4000, 1)))
-    score = values.mean() / values.std() * math.sqrt(4000 * (1.0 - share) / (1.0 + share))
-    assert abs(score) > 2.0
-    assert stats.norm.isf(series.mean_probability / 2.0) == pytest.approx(abs(score), rel=0.1)

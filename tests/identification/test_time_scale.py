@@ -37,15 +37,6 @@ def test_records_in_the_model_s_time_scale_and_in_a_wrong_unit() -> None:
         assert found[1] == pytest.approx(L / R, rel=0.1)
 
 
-def test_what_does_not_settle_or_fails_is_not_doubted() -> None:
-    frame = pd.DataFrame({"time": 1e-6 * np.arange(100.0), "u": 0.0, "i": np.arange(100.0)})
-    experiment = Experiment(frame, ["u"], ["i"])
-    assert doubt_of_time(Simulator(COIL, experiment, ["R", "L"]), [R, L]) is None  # at rest
-    assert doubt_of_time(Simulator(COIL, experiment, ["R", "L"]), [R, 0.0]) is None  # divides by zero
-    driven = Experiment(frame.assign(u=1.0), ["u"], ["i"])
-    assert doubt_of_time(Simulator(COIL, driven, ["R", "L"]), [0.0, L]) is None  # an integrator
-
-
 @pytest.mark.slow
 def test_it_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     coil_table(tmp_path / "run.csv", 0.0, seed=1)

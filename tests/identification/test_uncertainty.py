@@ -11,11 +11,9 @@ import pytest
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
 from fmuid.data import Noise, Parameter
-from fmuid.errors import InputError
 from fmuid.estimation import LeastSquares
 from fmuid.events import Event, ProfileStep, SamplingStep
 from fmuid.identification import Assessment, AssessmentSettings, SamplerSettings, assess, identify, map_cost
-from tests.support.results import changed
 
 ALL = AssessmentSettings(0.9, ("a", "b"), SamplerSettings(max_steps=600, effective_size=600), (("a", "b"),))
 
@@ -37,21 +35,6 @@ def two_valleys() -> LeastSquares:
 
     parameters = {"a": Parameter(-2.2, -4.0, 4.0), "b": Parameter(0.1, -1.0, 1.0)}
     return LeastSquares.from_function(model, np.zeros(20), parameters, noise=Noise(0.01))
-
-
-def test_nothing_is_asked() -> None:
-    with pytest.raises(InputError, match="level of an interval must lie between 0 and 1"):
-        AssessmentSettings(1.0)
-    problem = line()
-    result = identify(problem)
-    found = assess(problem, result, AssessmentSettings())
-    assert not AssessmentSettings().explores
-    assert found.succeeded
-    assert (found.maps, found.profiles, found.posterior) == ((), (), None)
-    assert found.residuals is not None
-    assert found.prior_and_data is not None
-    assert assess(problem, changed(result, linearization=None)).residuals is None
-    np.testing.assert_array_equal(found.intervals(result).to_numpy(), result.intervals().to_numpy())
 
 
 def test_everything_of_a_linear_problem_agrees() -> None:

@@ -26,20 +26,6 @@ equation
 end Curved;"""
 
 
-ROUGH = """model Rough
-  parameter Real g = 1; parameter Real there = 0; parameter Real back = 0;
-  input Real u; input Real d; output Real y;
-equation
-  y = (there + g*u + d) - back;
-end Rough;"""
-
-
-@pytest.fixture(scope="module")
-def rough(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """y = there + g u + d - back, in this order."""
-    return export_text(tmp_path_factory.mktemp("loops"), ROUGH)
-
-
 @pytest.fixture(scope="module")
 def curved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """y = k u² + g u + d."""
@@ -94,17 +80,6 @@ def test_a_simulation_does_not_depend_on_the_one_before(curved: Path) -> None:
     np.testing.assert_array_equal(simulator([0.5, 0.3]), first)
 
 
-def test_rounding_of_what_a_loop_does_not_see_is_no_failure(rough: Path) -> None:
-    """y = (230 + u + d) - 230 with u = g y: no step is so small that rounding hides it, and none is asked for."""
-    n = 300
-    d = np.concatenate([1e-17 * np.random.default_rng(1).standard_normal(n), np.exp(-0.2 * np.arange(n)), np.zeros(n)])
-    experiment = record(1e-3 * np.arange(d.size), {"a.d": d}, ["a.y"])
-    simulator = Simulator(loop_of(rough), experiment, ["a.there", "a.back", "b.g"])
-    for gain in (1.5, -1.5, 0.99, -100.0):
-        rounding = 100 * np.spacing(230.0) * max(1.0, 1.0 / abs(1.0 - gain))
-        np.testing.assert_allclose(simulator([230.0, 230.0, gain])[:, 0], d / (1.0 - gain), rtol=EXACT, atol=rounding)
-
-
 def edited(path: Path, target: Path, old: str, new: str) -> Path:
     """Return a copy of an FMU whose description says something else."""
     shutil.copy(path, target)
@@ -119,22 +94,6 @@ def edited(path: Path, target: Path, old: str, new: str) -> Path:
 
 
 U = 'name="u" valueReference="0" causality="input" variability="continuous"><Real start="0.0"/>'
-
-
-def test_nominal_values_of_a_loop(curved: Path, tmp_path: Path) -> None:
-    """An input's own goes before that of the output that feeds it, in the input's unit; 0 where none is stated."""
-    of_y = edited(curved, tmp_path / "y.fmu", "<Real/>", '<Real nominal="250"/>')
-    both = edited(of_y, tmp_path / "both.fmu", U, U.replace("/>", ' nominal="3"/>'))
-    system = System(
-        components={"a": of_y, "b": both, "c": curved},
-        connections=[("a.y", "c.u", 2.0, 0.0), ("c.y", "b.u", 2.0, 0.0), ("b.y", "a.u", 4.0, 0.0)],
-    )
-    system_ = System(components={"a": of_y, "b": curved}, connections=[("a.y", "b.u", 2.0, 0.0), ("b.y", "a.u")])
-    found = []
-    for each in (system, system_):
-        (loop,) = Simulator(each, record([0.0, 1.0], {}, ["a.y"]))._simulation.plan.loops
-        found.append(sorted(loop.nominals))
-    assert found == [[3.0, 500.0, 1000.0], [0.0, 500.0]]
 
 
 @pytest.mark.parametrize("gain", [0.0, -1.0])

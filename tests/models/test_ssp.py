@@ -6,7 +6,6 @@ from __future__ import annotations
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -127,21 +126,6 @@ def test_units_along_a_connection(
     assert structure.connections[0][2:] == pytest.approx(expected, rel=1e-12)
 
 
-def test_units_with_offsets_along_a_chain(package: Maker) -> None:
-    """A temperature in K goes through a connector in degF, where it is doubled, and on in K."""
-    inner = element(
-        "System", "inner", connector("t", "output", "degF"),
-        content(drive(unit="K"), connection("drive.q", "t", linear(2.0))),
-    )  # fmt: skip
-    joined = connection("inner.t", "controller.q")
-    scales = units(K=("K", 1.0, 0.0), degF=("K", 5 / 9, 459.67 * 5 / 9))
-    found: tuple[Any, ...] = read_ssp(package(content(inner + controller(unit="K"), joined), rest=scales)).connections[
-        0
-    ]
-    doubled = 2 * (300.0 * 9 / 5 - 459.67)
-    assert found[2] * 300.0 + found[3] == pytest.approx((doubled + 459.67) * 5 / 9, rel=1e-14)
-
-
 def test_a_connector_without_unit_passes_the_unit_on(package: Maker) -> None:
     """The structure defines mm alone; that the controller's variable is in m, and what this is, its FMU says."""
     inner = element(
@@ -176,12 +160,6 @@ def test_names_of_elements_may_have_dots_and_sources_escapes(package: Maker) -> 
     structure = read_ssp(path)
     assert structure.values == {"a.b.M": 7.0}
     assert System.read_ssp(path).values == {"a.b.M": 7.0}
-
-
-def test_the_interface_that_is_asked_for(package: Maker) -> None:
-    path = package(content(drive(implementation="ModelExchange") + drive("second", implementation="CoSimulation")))
-    interfaces = [interface for _, interface in read_ssp(path).components.values()]
-    assert interfaces == ["model-exchange", "co-simulation"]
 
 
 def test_ssp_2_is_read(package: Maker) -> None:

@@ -18,7 +18,6 @@ from tests.support.ssp_texts import (
     connection,
     connector,
     content,
-    controller,
     drive,
     element,
     in_ssv,
@@ -78,20 +77,6 @@ def test_a_parameter_of_the_system_goes_to_all_that_it_feeds(package: Maker) -> 
         rest=LENGTHS,
     )
     assert read_ssp(path).values == pytest.approx({"inner.drive.q_start": 0.003, "drive.q_start": 0.006}, rel=1e-14)
-
-
-def test_a_value_inside_passes_only_what_comes_after_it(package: Maker) -> None:
-    inside = content(drive(), connection("x", "drive.q_start", linear(3.0)))
-    inner = element("System", "inner", connector("x", "parameter"), inside, binding(parameter("x", 5.0)))
-    path = package(content(inner, connection("top", "inner.x", linear(2.0))), connector("top", "parameter"))
-    assert read_ssp(path).values == {"inner.drive.q_start": 15.0}
-
-
-def test_starts_of_inputs_count_only_where_nothing_feeds_them(package: Maker) -> None:
-    bound = binding(parameter("controller.q", 1.0) + parameter("controller.qg", 2.0) + parameter("controller.dq", 3.0))
-    joined = connection("drive.q", "controller.q") + connection("r", "controller.qg")
-    structure = read_ssp(package(content(drive() + controller(), joined), connector("r", "input"), bound))
-    assert structure.values == {"controller.qg": 2.0, "controller.dq": 3.0}
 
 
 def test_names_that_match_nothing_are_ignored(package: Maker) -> None:

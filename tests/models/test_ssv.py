@@ -49,12 +49,6 @@ def test_all_types_and_awkward_names(tmp_path: Path) -> None:
     assert list(kinds.values()) == ["Boolean", "Integer", "String", "Real"]
 
 
-def test_a_unit_that_cannot_be_defined_is_left_out(tmp_path: Path) -> None:
-    write_ssv(tmp_path / "x.ssv", "n", {"a": Quantity(1.0, "widgets"), "b": Quantity(2.0, "unheard of")}, UNITS)
-    read = fmpy_ssd.read_ssv(str(tmp_path / "x.ssv"), validate=True)
-    assert [p.unit for p in read.parameters] == [None, None]
-
-
 def test_what_is_not_finite_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="parameter 'R' is inf"):
         write_ssv(tmp_path / "x.ssv", "n", {"R": Quantity(math.inf)}, {})
@@ -65,18 +59,6 @@ SSV = (
     '<ssv:ParameterSet xmlns:ssv="http://ssp-standard.org/SSP1/SystemStructureParameterValues"'
     ' version="{version}" name="n"><ssv:Parameters>{body}</ssv:Parameters></ssv:ParameterSet>'
 )
-
-
-def test_ssp_2_types_are_read(tmp_path: Path) -> None:
-    body = "".join(
-        f'<ssv:Parameter name="{kind}"><ssv:{kind} value="{value}"/></ssv:Parameter>'
-        for kind, value in (("Float64", "2.5"), ("UInt8", "3"), ("Boolean", "1"), ("Enumeration", "on"))
-    )
-    (tmp_path / "x.ssv").write_text(SSV.format(version="2.0", body=body))
-    values = read_ssv(tmp_path / "x.ssv").values
-    assert {name: quantity.value for name, quantity in values.items()} == {
-        "Float64": 2.5, "UInt8": 3, "Boolean": True, "Enumeration": "on"
-    }  # fmt: skip
 
 
 @pytest.mark.parametrize(

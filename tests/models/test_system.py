@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import gc
 import weakref
-from typing import Any
 
 import numpy as np
 import pytest
 
-from fmuid import InputError, Numerics, SimulationError, Simulator, System
-from fmuid.simulation import close, closing, executor_of
-from fmuid.simulation.forward_simulation import twin_simulation
+from fmuid import InputError, SimulationError, Simulator, System
+from fmuid.simulation import close, closing
 from tests.support.compiled import ProbeMaker
 from tests.support.experiments import record
-from tests.support.paths import FMUS
 
 
 def test_direct_feedthrough_is_passed_on_in_dependency_order(probe: ProbeMaker) -> None:
@@ -110,21 +107,3 @@ def test_instances_go_with_the_last_user_of_a_system(probe: ProbeMaker) -> None:
         gc.enable()
     gc.collect()
     assert kept([]).max() == 1
-
-
-def test_an_executor_is_made_once_and_closed_with_the_variants() -> None:
-    """The twins of forward sensitivities belong to the system whose twins they are."""
-    coil = FMUS / "Coil" / "Coil.fmu"
-    experiment = record(0.01 * np.arange(20), {"u": 1.0}, ["i"])
-    with closing(System(coil, numerics=Numerics("model-exchange"))) as system:
-        simulators = [Simulator(system, experiment, ["R", "L"]) for _ in range(2)]
-        runs = [twin_simulation(simulator) for simulator in simulators]
-        simulators[0]([4.0, 0.1])
-        for run in runs:
-            run.simulate(np.tile([4.0, 0.1], 3))
-        executors: list[Any] = [executor_of(s) for s in (*(run.system for run in runs), system)]
-        assert executors[0] is executors[1] is not executors[2]
-        there = [weakref.ref(i) for each in executors[1:3] for thread in each._threads for i in thread._instances]
-        assert len(there) == 3 + 1
-    gc.collect()
-    assert not any(each() for each in there)

@@ -102,16 +102,6 @@ def test_what_looks_can_end_it(ends: Any, way: str) -> None:
         channel.send([bytes(8_000_000)], TOKEN, look) if way == "send" else channel.receive(look)
 
 
-def test_an_end_in_the_middle_is_one(ends: Any) -> None:
-    own, other = ends
-    other.sendall(HEADER.pack(MARK, TOKEN, 0, 1000) + b"half of it")
-    other.close()
-    with pytest.raises(EOFError):
-        Channel(own).receive()
-    with pytest.raises(EOFError):
-        Channel(own).send([bytes(8_000_000)], TOKEN)
-
-
 def sent(parts: Any, token: bytes = TOKEN) -> bytes:
     """Return the bytes of a message."""
     own, other = socket.socketpair()

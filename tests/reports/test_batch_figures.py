@@ -10,16 +10,14 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from fmuid.reports import chart
 from fmuid.reports.document import Document
 from fmuid.reports.publish import write_figures
 from fmuid.reports.render.html import page
 from fmuid.reports.topics import batch as topic
 from fmuid.reports.topics import case_charts
-from fmuid.reports.topics.batch_tables import tables_of, write_tables
-from fmuid.runs.batch.statistics import BatchColumns
+from fmuid.reports.topics.batch_tables import tables_of
 from fmuid.runs.batch.summary import summarize
-from tests.support.charts import layers, legend, rules
+from tests.support.charts import layers, legend
 from tests.support.drawn_batches import TRUTH, UNITS, batch, fail, show_batch
 
 near = np.testing.assert_allclose
@@ -34,28 +32,6 @@ def cases(count: int, **columns: Any) -> pd.DataFrame:
     values = {"value.R": good * rng.normal(4.0, 0.1, count), "value.L": good * rng.normal(0.1, 0.002, count)}
     stds = {"std.R": good * 0.1, "std.L": good * 0.002, "cost": 1.0, "noise.i": 1.0}
     return pd.DataFrame({"case": range(count), **columns, "status": status, **values, **stds})
-
-
-def test_few_cases_have_intervals_many_are_thinned() -> None:
-    frame = cases(20)
-    frame.loc[2, "value.R"] = 4.25
-    few, _ = case_charts.over_cases(frame, {"R": 4.0}, {"R": "Ohm"})
-    bars, missing = layers(few, "segments")
-    missed = np.abs(frame["value.R"] - 4.0) > Z * 0.1
-    assert [len(bars["x0"]), list(missing["x0"])] == [19 - missed.sum(), list(np.flatnonzero(missed))]
-    near(bars["y1"] - bars["y0"], 2 * Z * 0.1, rtol=1e-6)
-    assert list(layers(few, "points")[1]["x"]) == [19]
-    assert legend(few) == ["95 % interval", "misses the true value", "estimate", "failed"]
-    assert rules(few) == [("y", 4.0)]
-    assert few.y.label == "R (Ohm)"
-    some, _ = case_charts.over_cases(cases(chart.LIMITS.dots), {}, {})
-    assert layers(some, "segments") == []
-    assert len(layers(some, "points")[0]["x"]) == chart.LIMITS.dots - 1
-    many, _ = case_charts.over_cases(cases(30_000), {}, {})
-    (cells,) = layers(many, "cells")
-    assert cells["count"].sum() == 29_999
-    assert len(cells["count"]) < chart.LIMITS.rows
-    assert cells["alpha"].max() == 1.0
 
 
 def test_outliers_are_counted_and_data_files_named() -> None:
@@ -130,31 +106,6 @@ def test_page_of_a_batch() -> None:
     for words in ("39 of 40 cases converged", "fmi2Error &lt;b&gt;", "Draws", "Cases without estimate", "Ohm"):
         assert words in text, words
     assert text.count("data-root-id") == 2 + 2 + 1 + 1
-
-
-def test_tables_are_written_as_csv(tmp_path: Path) -> None:
-    (tmp_path / "groups.csv").write_text("old")
-    (tmp_path / "mine.csv").write_text("the user's")
-    summary = summarize(fail(batch({"draw": range(40)}), [1], ["no"]), TRUTH, UNITS)
-    assert [path.name for path in write_tables(summary, tmp_path)] == ["summary.csv", "failures.csv"]
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["failures.csv", "mine.csv", "summary.csv"]
-    back = pd.read_csv(tmp_path / "summary.csv", keep_default_na=False, na_values=[""], dtype={"note": str})
-    np.testing.assert_array_equal(back["mean"], summary.parameters["mean"])
-
-
-def test_console(capsys: pytest.CaptureFixture[str]) -> None:
-    frame = batch({"set.M": np.repeat([0.4, 0.47], 40), "draw": np.tile(np.arange(40), 2)}, spread=2.0)
-    output = BatchColumns.of(frame).outputs[0]
-    frame[f"fit.{output}"] = np.where(np.arange(80) == 7, np.nan, np.linspace(90.0, 99.0, 80))
-    summary = summarize(fail(frame, [0], ["[bad] at t = 3 s"]), TRUTH, UNITS)
-    show_batch(summary)
-    said = capsys.readouterr().out
-    (row,) = summary.fits.to_dict("records")
-    fit = f"median {row['median']:.4g} %, minimum {row['least']:.4g} % (case {row['case']})"
-    heads = ("Estimates over all cases", "Estimates and true values", "By setting: mean ± spread")
-    for words in (*heads, fit, "[bad] at t = # s", "80 cases, 79 converged, 1 failed"):
-        assert words in said
-    assert max(map(len, said.splitlines())) <= 140
 
 
 def test_batch_without_estimates(capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,20 +10,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmuid.data import evenly, extremes
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.identification import CostMap
 from fmuid.reports import chart
 from fmuid.reports.topics import (
-    design,
     estimates,
     fit,
-    model_comparison,
     optimization,
     prior_and_data,
     residual_analysis,
-    solver_check,
 )
 from fmuid.reports.topics import uncertainty_charts as uncertainty
 from tests.support import records
@@ -38,24 +34,6 @@ def result(rho: float = 0.6) -> Result:
     std = np.array([0.1, 0.002])
     covariance = np.outer(std, std) * np.array([[1.0, rho], [rho, 1.0]])
     return made_up(("R", "L"), np.array([4.0, 0.1]), np.array([5.0, 0.2]), covariance)
-
-
-def test_extremes_and_even_dots() -> None:
-    rng = np.random.default_rng(7)
-    columns = rng.normal(size=(50_000, 3))
-    columns[777, 1], columns[31_000, 2] = 20.0, -30.0
-    columns[5:2000, 0] = np.nan
-    kept = extremes(columns, 1000)
-    assert 300 < len(kept) <= 1100
-    assert {0, 777, 31_000, 49_999} <= set(kept.tolist())
-    assert (np.diff(kept) > 0).all()
-    assert len(extremes(columns[:900], 1000)) == 900
-    values = rng.normal(size=100_000)
-    dots = evenly(values.size, 4000)
-    assert len(dots) == 4000
-    assert set(np.diff(dots).tolist()) <= {25, 26}
-    assert np.std(values[dots]) == pytest.approx(1.0, abs=0.04)
-    assert evenly(3, 4000).tolist() == [0, 1, 2]
 
 
 def test_fit_with_band() -> None:
@@ -148,26 +126,6 @@ def test_parameters_over_iterations() -> None:
     assert drawn(still, "zone") == []
 
 
-def test_cost_rounds_and_optima() -> None:
-    trace, table = records.search()
-    cost, below = next(charts for key, charts in searched(trace, table).items() if key in ("criterion", "cost"))
-    assert [each["y"].tolist() for each in drawn(cost, "line")] == [[900.0, 500.0, 110.0], [100.0]]
-    assert [each["y"].tolist() for each in drawn(cost, "points", "rejected trial")] == [[700.0]]
-    assert places(cost, "x") == [4.0]
-    assert drawn(below, "line")[0]["y"].tolist() == [1.0, 1.0]
-    trace, table = records.search(("R",))
-    rounds = pd.DataFrame({"round": [1, 2], "used.i": [1e-3, 0.05], "estimated.i": [0.05, 0.046]})
-    found = pd.DataFrame({"cost": [10.0, 40.0, 90.0], "hits": [8, 2, 1], "converged": [True, True, False]})
-    charts = searched(trace, table, rounds=rounds, optima=found.assign(R=[4.0, 2.0, 1.0]))
-    last = next(charts[key][-1] for key in ("criterion", "cost") if key in charts)
-    assert (last.y.label, last.y.kind) == ("noise variance of i (A²)", "log")
-    assert drawn(last, "line")[0]["y"].tolist() == [1e-3, 0.05, 0.046]
-    (optima,) = charts["optima"]
-    assert optima.x.label == "R (Ohm)"
-    assert sorted(each["x"].tolist() for each in drawn(optima, "points")) == [[1.0], [2.0], [4.0]]
-    assert legend(optima) == ["optimum", "not converged", "best"]
-
-
 def test_parabolas_of_prior_data_and_both() -> None:
     """Of one parameter the third is the sum of the other two, (1.57)."""
     std = 1.0 / math.hypot(1 / 0.2, 1 / 0.1)
@@ -208,34 +166,6 @@ def test_correlation_and_ellipses() -> None:
     near([places(plot, "x"), places(plot)], [[4 - half[0], 4 + half[0]], [0.1 - half[1], 0.1 + half[1]]], rtol=1e-6)
 
 
-def test_solver_errors() -> None:
-    table = pd.DataFrame({"parameter": ["R", "L", "M"], "solver_error": [0.02, -0.5, np.nan]})
-    (section,) = solver_check.solver_section(table)
-    small, large = drawn(section.charts[0], "points")  # type: ignore[arg-type]
-    assert (small["x"].tolist(), large["x"].tolist()) == ([0.02], [-0.5])
-    assert solver_check.solver_section(table.assign(solver_error=np.nan)) == []
-
-
-def test_bars_estimates_and_sensitivities() -> None:
-    bars = model_comparison.ranked_bars(["a", "b"], np.array([0.5, 2.0]), "error")
-    assert (bars.y.names, bars.x.reach) == (("b", "a"), (0.0, None))
-    shown: Any = [(each.color, each.data["x"]) for each in bars.layers]
-    assert [(color, x.tolist()) for color, x in shown] == [("red", [0.5]), ("blue", [2.0])]
-    row = {"result": "a", "parameter": "R", "unit": "Ohm", "value": 4.0, "lower": 3.8, "upper": 4.2}
-    rows: list[Any] = [SimpleNamespace(**row | more) for more in ({}, {"result": "b", "unit": ""}, {"parameter": "L"})]
-    (plot,) = model_comparison.estimate_charts(rows)
-    assert (plot.x.label, plot.y.names) == ("R (Ohm)", ("b", "a"))
-    times = np.linspace(0.0, 1.0, 50)
-    table = pd.DataFrame({"time": times, **{f"i/p{k}": (k + 1.0) * times for k in range(12)}})
-    (lines,) = design.sensitivity_charts(table, {"i": "A"}).charts
-    assert lines.y.label == "i (A)"
-    assert legend(lines) == [f"p{k}" for k in range(4, 12)]
-    near(drawn(lines, "line")[-1]["y"], 12.0 * times, rtol=1e-6)
-    short, long = (chart.rows_of(names, chart.Axis(), []) for names in (["a", "b"], ["a", "b" * 60]))
-    assert chart.beside(short.y.names) and not chart.beside(long.y.names)
-    assert long.height > short.height
-
-
 def profiled(values: Any, cost: Any, ends: tuple[float, float]) -> Any:
     table = pd.DataFrame({"R": values, "cost": cost})
     return SimpleNamespace(name="R", table=table, lower=ends[0], upper=ends[1], threshold=3.84, level=0.95)
@@ -253,19 +183,6 @@ def test_profile() -> None:
     assert drawn(plot, "zone") == [{"left": 3.804, "right": 4.196}]
     open_ = profiled(np.array([1.0, 4.0, 9.0]), np.array([50.2, 50.0, 50.1]), (-math.inf, math.inf))
     assert uncertainty._profile(open_, result(), {}).x.reach == (1.0, 9.0)
-
-
-def test_corner_with_contours() -> None:
-    counts = np.random.default_rng(3).random((32, 32)) ** 4
-    for level, share in zip(uncertainty.share_levels(counts), (0.95, 0.68), strict=True):
-        assert counts[counts >= level].sum() / counts.sum() == pytest.approx(share, abs=0.01)
-    found = result()
-    samples = np.random.default_rng(4).multivariate_normal(found.values, found.covariance, 4000)
-    first, pair, last = uncertainty._corner(pd.DataFrame(samples, columns=["R", "L"]), found, {"R": "Ohm"}).charts
-    assert [each.x.shown for each in (first, pair, last)] == [False, True, True]
-    assert (*labels(pair), pair.y.shown) == ("R (Ohm)", "L", True)
-    assert first.x.linked == pair.x.linked != last.x.linked
-    assert area_of(drawn(last, "cells")[0]) == pytest.approx(1.0)
 
 
 def test_cost_map() -> None:

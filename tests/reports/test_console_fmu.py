@@ -9,16 +9,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 
 import fmuid
 from fmuid.apps.cli.app import run
 from fmuid.apps.cli.options import DONE, WRONG_INPUT
-from fmuid.errors import InputError
-from fmuid.models.description import Variable
 from fmuid.models.fmu_summary import FmuSummary, facts, lines
-from fmuid.reports.document import TERMINAL_ROWS, table_of
-from fmuid.reports.render.console import console, plain_lines, rich_table, show_listing, show_notes
+from fmuid.reports.render.console import console, show_listing, show_notes
 from fmuid.reports.topics.models import facts_document
 from fmuid.reports.topics.solver_check import capability_words, run_words
 from fmuid.studies import skeleton
@@ -34,20 +30,6 @@ def motor(tmp_path: Path) -> FmuSummary:
 @pytest.fixture
 def linear(tmp_path: Path) -> FmuSummary:
     return facts(fmuid.FMU(write_fmu(tmp_path / "Linear.fmu", FMI3)))
-
-
-def test_units_are_those_that_convert(motor: FmuSummary) -> None:
-    """Just the units are named that a column may have: all others are refused."""
-    assert motor.units == {"A": (), "rad/s": ("rpm", "krad/s"), "lap": ()}
-    described = motor.fmu.description
-    for variable in (described.variables[name] for name in ("i", "w", "torque")):
-        others = motor.units[variable.unit or ""]
-        for unit in {*described.units, "rpm"} - {variable.unit or ""}:
-            if unit in others:
-                described.conversion(variable, unit)
-            else:
-                with pytest.raises(InputError, match="does not convert"):
-                    described.conversion(variable, unit)
 
 
 def test_arrays_and_capabilities(linear: FmuSummary, motor: FmuSummary) -> None:
@@ -68,27 +50,6 @@ def test_arrays_and_capabilities(linear: FmuSummary, motor: FmuSummary) -> None:
     }
     assert run_words(motor.run_as).startswith("FMI 2.0 Model Exchange, rk45")
     assert motor.here is None
-
-
-def real(name: str, unit: str = "m") -> Variable:
-    return Variable(name, 0, "Float64", "parameter", "fixed", unit=unit)
-
-
-def test_lines_of_scalars() -> None:
-    """FMI 2.0 tools write elements singly; those that fill no box, or differ, stay single."""
-    cells = [real(f"cell[{i}].{name}") for i in range(1, 7) for name in ("R", "C")]
-    holes = [real(f"x[{i}]") for i in (1, 2, 3, 5, 6)]
-    few = [real(f"y[{i}]") for i in range(1, 5)]
-    mixed = [real(f"z[{i}]", "m" if i < 3 else "s") for i in range(1, 6)]
-    told = lines([*cells, *holes, *few, *mixed, real("deep[2].v[3,4]")])
-    assert [line.name for line in told] == [
-        "cell[1..6].R",
-        "cell[1..6].C",
-        *(v.name for v in [*holes, *few, *mixed]),
-        "deep[2].v[3,4]",
-    ]
-    assert [v.name for v in told[1].variables] == [f"cell[{i}].C" for i in range(1, 7)]
-    assert lines([real(f"m[{i},2]") for i in range(5)])[0].name == "m[0..4,2]"
 
 
 Shown = Callable[..., str]
@@ -129,27 +90,6 @@ def test_shown(motor: FmuSummary, shown: Shown) -> None:
         r"2 other variables",
     ):
         assert re.search(rf"^{line} *$", text, re.MULTILINE), line
-
-
-def test_a_pipe_gets_all_a_terminal_what_it_can_hold(tmp_path: Path, shown: Shown) -> None:
-    """Of an FMU with hundreds of parameters that share no line, each with a long description."""
-    extra = "".join(
-        f'<ScalarVariable name="p{i}" valueReference="{100 + i}" causality="parameter" variability="fixed" '
-        f'description="{"a word " * 40}"><Real start="1"/></ScalarVariable>'
-        for i in range(300)
-    )
-    whole = FMI2.replace("</ModelVariables>", extra + "</ModelVariables>")
-    crowded = facts(fmuid.FMU(write_fmu(tmp_path / "Crowded.fmu", whole)))
-    text = shown(crowded, terminal=False)
-    rows = [line for line in text.splitlines() if re.match(r"p\d+ ", line)]
-    assert len(rows) == 300
-    assert all(line.count("a word") == 40 for line in rows)
-    assert "# and 294 more" in text  # than 12 of 303 parameters (poles is no Real) and 3 start values
-    text = shown(crowded, terminal=True)
-    table = text[text.index("Parameters (303)") : text.index("Parameters (1), tunable")].splitlines()
-    assert "243 more" in text
-    assert len(table) == TERMINAL_ROWS + 5  # title, heads, rule, what is left out, an empty line
-    assert max(map(len, table)) <= 80
 
 
 def test_skeleton_is_a_study_with_the_names_of_the_fmu(
@@ -208,16 +148,3 @@ def test_messages_obey_nobody(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert UNSEEN.search(said.rstrip("\n")) is None
     show_notes(["a\u202eb\x1b[2J"])
     assert capsys.readouterr().err == "note: ab[2J\n"
-
-
-def test_plain_tables_are_those_of_rich() -> None:
-    """Of large models they are written by lines of our own, which are the same to the letter."""
-    heads, right = ["name", "start", "description"], ["start"]
-    rows = [["R", "1.5", "resistance"], ["温度", "273.15", "äöü [b]x[/b]"], ["a_longer_name", "", "é"]]
-    out = io.StringIO()
-    columns = {head: [row[k] for row in rows] for k, head in enumerate(heads)}
-    words = [head for head in heads if head not in right]
-    table = table_of(columns, words)
-    Console(file=out, width=200).print(rich_table(table, "", console()))
-    expected = [line.rstrip() for line in out.getvalue().splitlines()]
-    assert [line.rstrip("\n") for line in plain_lines(table)] == expected

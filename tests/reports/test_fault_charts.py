@@ -26,7 +26,7 @@ from fmuid.reports.render.following import FollowingDisplay
 from fmuid.reports.topics import diagnosis, monitoring
 from fmuid.reports.topics.monitoring import alarm_sentence
 from fmuid.runs.follow import AlarmLines, FollowStatus
-from tests.support.charts import drawn, legend, places
+from tests.support.charts import drawn, places
 
 
 @pytest.fixture
@@ -53,28 +53,6 @@ def test_causes_are_ordered_by_probability(news: ChangeEvidence) -> None:
     assert red["size"][0] == "0.300 ± 0.050 Ohm"
 
 
-def test_sizes_have_intervals_with_units(news: ChangeEvidence) -> None:
-    turns, gain = diagnosis.change_charts(news)
-    assert turns.x.label == "size, with 95 % interval (Ohm)"
-    assert gain.x.label == "size, with 95 % interval (%)"
-    (data,) = drawn(gain, "points")
-    assert [*data["x"], *data["x0"], *data["x1"]] == pytest.approx([-2.0, -3.96, -0.04], abs=1e-3)
-
-
-def test_residuals_without_and_with_the_fault() -> None:
-    rng = np.random.default_rng(1)
-    table = pd.DataFrame(
-        {"time": np.arange(500.0), "healthy.i": rng.normal(0, 2, 500), "fault.i": rng.normal(0, 1, 500)}
-    )
-    (plot,) = diagnosis.explained_charts(table, "turns", {"i": "A"}).charts
-    assert plot.y.label == "residual of i (A)"
-    without, with_ = (each["y"] for each in drawn(plot, "line"))
-    np.testing.assert_allclose(without, table["healthy.i"], rtol=1e-6)
-    np.testing.assert_allclose(with_, table["fault.i"], rtol=1e-6)
-    std = math.sqrt(np.mean(table["fault.i"] ** 2))
-    assert legend(plot)[1] == f"with turns, std {std:.3g} A"
-
-
 @pytest.fixture
 def windows() -> pd.DataFrame:
     """Windows of 2 s in three records, in each of which the time begins anew."""
@@ -82,14 +60,6 @@ def windows() -> pd.DataFrame:
     columns = {"start": start, "end": start + 2.0, "record": np.repeat(["a", "b", "c"], 4), "variance_ratio": 1.0}
     sizes = {"turns.dR": np.arange(12.0), "turns.dR.std": 0.1, "R": 4.0, "R.std": [math.inf] + [0.1] * 11}
     return pd.DataFrame(columns | sizes | {"significant": [""] * 9 + ["turns", "turns", "other"]}, range(count))
-
-
-def test_time_continues_over_recordings(windows: pd.DataFrame) -> None:
-    clock, borders, _ = monitoring.clock_of(windows)
-    np.testing.assert_array_equal(clock, np.arange(1.0, 24.0, 2.0))
-    assert borders == [8.0, 16.0]
-    one = windows.iloc[:4]
-    assert monitoring.clock_of(one)[1:] == ([], "time (s)")
 
 
 def test_timeline(windows: pd.DataFrame) -> None:

@@ -13,13 +13,11 @@ import pytest
 import fmuid
 from fmuid.reports.chart import LIMITS
 from fmuid.reports.documents import document
-from fmuid.reports.topics.preprocessing import preparation_words, preprocessing_charts, preprocessing_sections
+from fmuid.reports.topics.preprocessing import preparation_words, preprocessing_sections
 from fmuid.runs import log_follower as follower
 from fmuid.runs import read_diagnosis, read_identification, read_monitoring
 from fmuid.runs.faults import MonitoredTables
-from fmuid.runs.preprocessing import prepared
 from fmuid.studies import ExperimentSettings, Study
-from tests.support.charts import drawn
 from tests.support.coil_study import COIL, coil_table
 from tests.support.running import run_diagnosis, run_following, run_monitoring, run_study
 
@@ -69,22 +67,6 @@ def rows(table: pd.DataFrame, column: str, stage: str) -> pd.DataFrame:
     return table[(table["column"] == column) & (table["stage"] == stage)]
 
 
-def test_changed_columns_are_kept(study: Study, raw: pd.DataFrame) -> None:
-    cut, mean = prepared(study)
-    assert (cut.experiment, mean.experiment) == ("cut", "mean")
-    assert cut.words == {"computed_columns": {"current": "shunt / 50"}, "start_time": 0.1, "end_time": 0.4}
-    assert set(cut.table["column"]) == {"u", "current"}
-    assert set(mean.table["column"]) == {"i"}  # the input is as it was
-    assert not len(rows(cut.table, "current", "before"))  # it was made
-    kept = raw[(raw["time"] > 0.0995) & (raw["time"] < 0.4005)]
-    np.testing.assert_array_equal(rows(cut.table, "current", "after")["time"], kept["time"])
-    np.testing.assert_allclose(rows(cut.table, "current", "after")["value"], kept["i"], rtol=1e-12)
-    np.testing.assert_array_equal(rows(cut.table, "u", "before")["value"], raw["u"])
-    np.testing.assert_array_equal(rows(cut.table, "u", "after")["value"], kept["u"])
-    np.testing.assert_array_equal(rows(mean.table, "i", "before")["value"], raw["i"])
-    np.testing.assert_allclose(rows(mean.table, "i", "after")["value"], raw["i"] - raw["i"].mean(), atol=1e-12)
-
-
 def counted_reads(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
     """Return the data files that are read from now on."""
     read, original = list[Path](), ExperimentSettings.read_frame
@@ -95,25 +77,6 @@ def counted_reads(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
 
     monkeypatch.setattr(ExperimentSettings, "read_frame", read_frame)
     return read
-
-
-def test_segments_are_downsampled_and_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    times = np.arange(50_000) * 1e-3
-    spike = np.where(np.arange(times.size) == 20_011, 7.0, 0.0)
-    pd.DataFrame({"time": times, "u": spike, "i": np.sin(times)}).to_csv(tmp_path / "run.csv", index=False)
-    head, _, one = STUDY.format(fmu=COIL.as_posix()).split("[[experiments]]\n")
-    segments = one.replace('name = "mean"', "").replace(
-        'detrend = { i = "mean" }', "segments = [[0.0, 10.0], [10.0, 40.0]]"
-    )
-    (tmp_path / "study.toml").write_text(f"{head}[[experiments]]\n{segments}")
-    study = Study.read(tmp_path / "study.toml")
-    assert len(study.tables) == 2
-    read = counted_reads(monkeypatch)
-    _, second = prepared(study)
-    assert len(read) == 1
-    before = rows(second.table, "u", "before")
-    assert len(before) < 5000
-    assert before["value"].max() == 7.0  # extremes are kept
 
 
 def test_report_shows_preprocessing(study: Study, tmp_path: Path) -> None:
@@ -183,19 +146,6 @@ def test_growing_recording_is_kept_once_and_downsampled(tmp_path: Path) -> None:
     table = add(1900, 30_000)
     assert len(table) <= 2 * LIMITS.rows
     np.testing.assert_allclose(table["time"].iloc[[0, -1]], times[[0, -1]])
-
-
-def test_chart_shows_before_and_after(study: Study, raw: pd.DataFrame) -> None:
-    cut, _ = prepared(study)
-    u, current = preprocessing_charts(cut.table, {"u": "V"}).charts
-    assert u.y.label == "u (V)"
-    assert [len(each.layers) for each in (u, current)] == [2, 1]
-    (before,), (after,) = drawn(u, "line", "as recorded"), drawn(u, "line", "as used")
-    np.testing.assert_array_equal(before["x"], raw["time"])
-    assert (after["x"][0], after["x"][-1]) == pytest.approx((0.1, 0.4))
-    assert u.layers[0].color == "grey"
-    assert u.x.linked == current.x.linked
-    assert (u.x.shown, current.x.shown) == (False, True)
 
 
 def test_preprocessing_steps_are_named() -> None:

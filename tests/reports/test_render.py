@@ -24,7 +24,6 @@ from fmuid.reports.render.bokeh_renderer import drawing
 from fmuid.reports.render.style import BLUE_RED, COLORS
 from fmuid.reports.topics import fit
 from fmuid.reports.topics.estimates import _matrix
-from fmuid.reports.topics.model_comparison import ranked_bars
 from fmuid.simulation import OutputFit
 from tests.support.charts import every_mark
 from tests.support.records import record
@@ -75,15 +74,6 @@ def test_bokeh_reads_what_is_written() -> None:
         live([BokehSpec("LinearAxis", axis_labl="x")])
 
 
-def test_grid_has_one_toolbar_and_one_time() -> None:
-    grid = figure(fit.fit_charts(record(outputs=1)))
-    names: list[Any] = [type(tool).__name__ for tool in grid.toolbar.tools]
-    assert names == ["ToolProxy", "ToolProxy", "SaveTool", "ToolProxy", "ToolProxy"]
-    assert grid.toolbar.active_drag is grid.toolbar.tools[0]
-    assert all(plot.toolbar_location is None for plot, *_ in grid.children)
-    assert len({id(plot.x_range) for plot, *_ in grid.children}) == 1
-
-
 def test_names_never_become_columns_formats_or_mathematics() -> None:
     name = "@{t}$$x$${{safe}}<b>"
     data: dict[str, Any] = {"y": (name,), "x": T[:1]}
@@ -131,23 +121,6 @@ def test_printed_marks_are_where_their_columns_say() -> None:
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("t (s)", "y (A)")
 
 
-def test_printed_bars_names_scales_and_legends() -> None:
-    axes = painted(ranked_bars(["a", "b"], np.array([1.0, 3.0]), "error"))
-    assert [text.get_text() for text in axes.get_yticklabels()] == ["b", "a"]  # from below
-    best, other = (each.get_paths()[0].get_extents() for each in axes.collections)
-    assert (best.x1, other.x1) == (1.0, 3.0)
-    assert best.y0 > other.y1
-    long = "a name too long for a telephone"
-    shown = painted(ranked_bars([long, "b"], np.array([1.0, 3.0]), "error")).texts
-    assert sorted(text.get_text() for text in shown) == [long, "b"]
-    unit = np.array([0.0, 1.0])
-    layers = (Layer("line", {"x": unit, "y": unit}, label="a $name$"), Layer("rule", {"y": 100.0}))
-    assert painted(Chart(Axis(), Axis(kind="log"), layers)).get_yscale() == "log"
-    axes = painted(Chart(Axis(), Axis(), layers))
-    assert axes.get_ylim()[1] < 1.2  # a line beyond what is drawn does not move it
-    assert axes.get_legend().get_texts()[0].get_text() == r"a \$name\$"  # no mathematics
-
-
 def test_printed_shades_are_those_of_the_page() -> None:
     matrix = pd.DataFrame([[1.0, np.nan], [np.nan, 1.0]], index=["a", "b"], columns=["a", "b"])
     (cells,) = painted(_matrix(matrix)).collections
@@ -160,36 +133,10 @@ def test_printed_shades_are_those_of_the_page() -> None:
     assert bar.get_ylabel() == "rise"
 
 
-def test_printed_fit_has_a_zoom_beside_it() -> None:
-    given = record(samples=2000)
-    (section,) = fit.fit_sections([given])
-    assert section.zoom is not None
-    whole = paint.printed([*section.charts, section.zoom], 2, "run")
-    axes, rows = axes_of(whole), fit.zoomed(given)
-    assert len(axes) == 2 * 4
-    assert axes[4].get_xlim() == (given.times[rows.start], given.times[rows.stop - 1])
-    assert whole.get_suptitle() == "run"
-
-
 def made(simulated: Any, counted: Any = None) -> OutputFit:
     simulated = np.asarray(simulated, float)[:, None]
     counted = np.ones(simulated.shape, bool) if counted is None else counted
     return OutputFit("run", np.arange(float(len(simulated))), ("y",), (None,), simulated, simulated, counted)
-
-
-def test_zoom_finds_the_step_and_ignores_what_does_not_count(tmp_path: Path) -> None:
-    times = np.arange(2000.0)
-    step = np.where(times > 1200, 1 - np.exp(-(times - 1200) / 20), 0.0)
-    found = fit.zoomed(made(step))
-    assert found.start <= 1201 < found.stop
-    assert found.stop - found.start == fit.ZOOM_SAMPLES
-    assert fit.zoomed(made(step[:50])) == slice(0, 50)
-    spikes, counted = np.zeros(2000), np.ones((2000, 1), bool)
-    spikes[10], spikes[1500], counted[:100] = 100.0, 1.0, False
-    found = fit.zoomed(made(spikes, counted))
-    assert found.start <= 1500 < found.stop
-    tiny = paint.printed([fit.fit_charts(made([1.0, 1.0]))], 2)  # drawn without warnings
-    assert len(paint.save({"fit": tiny}, tmp_path)) == 1
 
 
 def test_figures_replace_those_of_an_earlier_run(tmp_path: Path) -> None:

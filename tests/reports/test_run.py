@@ -41,22 +41,6 @@ def stopping(where: type[Event]) -> Progress:
     return progress
 
 
-@pytest.mark.usefixtures("blank_figures")
-def test_it_is_what_the_command_does(study: Path, tmp_path: Path) -> None:
-    found = run_study(study, tmp_path / "mine", report=True)
-    assert found.succeeded
-    assert fmuid_("identify", study, "--no-isolation", "--output", tmp_path / "theirs") == DONE
-    names = {path.relative_to(tmp_path / "theirs") for path in (tmp_path / "theirs").rglob("*") if path.is_file()}
-    assert {path.relative_to(tmp_path / "mine") for path in found.files} == names
-    assert {"result.json", "profiles.csv", "parameters.ssv", "report.html"} <= {path.name for path in names}
-    mine, theirs = result(tmp_path / "mine"), result(tmp_path / "theirs")
-    mine["origin"]["date"] = theirs["origin"]["date"]
-    mine["history"]["elapsed_s"] = theirs["history"]["elapsed_s"]
-    assert mine == theirs
-    for name in (path for path in names if path.suffix == ".csv"):
-        assert (tmp_path / "mine" / name).read_bytes() == (tmp_path / "theirs" / name).read_bytes(), name
-
-
 def test_rows_that_are_missing_are_said_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     coil_table(tmp_path / "first.csv", 0.0, seed=1)
     table = pd.read_csv(tmp_path / "first.csv")
@@ -122,11 +106,3 @@ def test_interrupted_run_keeps_what_is_known(study: Path, tmp_path: Path) -> Non
     assert written["parameters"]["R"]["value"] == found.result["R"]
     assert {path.name for path in found.files} == {"result.json", "estimates.csv", "document.json"}
     assert codec.as_json(read_identification(tmp_path / "out")) == codec.as_json(found)
-
-
-def test_a_search_of_the_whole_box_keeps_its_optima(study: Path, tmp_path: Path) -> None:
-    study.write_text(BOUNDED + GLOBAL)
-    found = run_study(study, tmp_path / "out")
-    assert sum(optimum.hits for optimum in found.result.history.optima) == 6
-    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "out/optima.csv"), found.optima)
-    assert f"{len(found.optima)} optim" in str(fmuid.Document.of(found))

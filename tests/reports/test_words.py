@@ -25,8 +25,7 @@ from fmuid.estimation import (
     WeakDirection,
 )
 from fmuid.estimation.covariance import ActiveBound
-from fmuid.files import file_name
-from fmuid.formatting import bounded, rounded, with_std
+from fmuid.formatting import with_std
 from fmuid.identification import ResidualDefect
 from fmuid.identification.prior_and_data import ExtrapolationReason
 from fmuid.models import SolverConfiguration
@@ -34,7 +33,6 @@ from fmuid.reports.document import Message, Remark, doubt
 from fmuid.reports.topics import uncertainty
 from fmuid.reports.topics.prior_and_data import obstacle_remark
 from fmuid.reports.topics.residual_analysis import residual_phrases
-from fmuid.reports.topics.solver_check import shift_text
 from fmuid.reports.topics.termination import state_and_reason
 from fmuid.runs.findings import at_minimum
 from tests.support.results import changed
@@ -169,17 +167,6 @@ def test_value_and_standard_deviation(value: float, std: float, shown: str) -> N
     assert with_std(value, std) == shown
 
 
-def test_texts_of_a_number_and_of_names() -> None:
-    assert rounded(math.pi, math.nan) == "3.14159"
-    assert file_name("i_start[run 1]-drive.M/x") == "i_start_run_1_-drive.M_x"
-    assert [bounded(each, 9) for each in ("a" * 9, "a" * 10, "a\n  b\u202e", " " * 50 + "b")] == [
-        "a" * 9,
-        "a" * 8 + "…",
-        "a b",
-        "…",
-    ]
-
-
 @pytest.mark.parametrize(
     ("ends", "shown"),
     [
@@ -210,22 +197,6 @@ def solver_said(outcome: AccuracyOutcome, shift: list[float], **more: Any) -> tu
     return solver_words(("R", "L"), SolverCheck(outcome, np.array(shift), USED, FINER, change=0.02, **more))
 
 
-@pytest.mark.parametrize(
-    ("shift", "said"),
-    [
-        ([7e-8, 0.0], "Solver error is below 0.005 σ."),
-        ([0.01, math.nan], "Solver error is below 0.01 σ."),
-        ([math.nan, math.nan], "Solver error changes all outputs by 0.02 σ of the noise."),
-    ],
-)
-def test_passed_check(shift: list[float], said: str) -> None:
-    assert solver_said(AccuracyOutcome.PASSED, shift) == (
-        said,
-        "Solver check: FMI 2.0 Model Exchange, rk45, tolerance 1e-09.",
-    )
-    assert solver_words(("R", "L"), None) == ()
-
-
 @pytest.mark.parametrize("kept", RefinementRefusal)
 def test_shifted_estimates(kept: RefinementRefusal) -> None:
     moved, why = solver_said(AccuracyOutcome.SHIFTED, [0.01, -3.21], kept=kept)
@@ -254,8 +225,3 @@ def test_refinements(cause: SwitchCause, size: float, said: str) -> None:
     first = solver_said(AccuracyOutcome.PASSED, [0.0, 0.0], switches=(RefinementStep(cause, size, USED, FINER, 17),))[0]
     assert first.startswith("Solver refined to FMI 2.0 Model Exchange, rk45")
     assert said in first
-
-
-def test_refused_optima_and_shifts_in_tables() -> None:
-    assert solver_said(AccuracyOutcome.PASSED, [0.0, 0.0], refused=3)[0].startswith("3 other optima exist only with")
-    assert [shift_text(each) for each in (math.nan, 1e-9, -0.25, 77.4)] == ["?", "0.0 σ", "-0.25 σ", "+77.40 σ"]

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 from fmuid.array_types import Floats
-from fmuid.formatting import fit_text
-from fmuid.reports.topics.fit import CONSTANT, fit_scores
 from fmuid.simulation import OutputFit, nrmse_fit
 
 TIMES = np.linspace(0.0, 10.0, 500)
@@ -53,15 +51,3 @@ def test_fit_counts_counted_samples_only() -> None:
 def test_fit_of_experiments_takes_the_mean_of_each() -> None:
     pairs = [(SIGNAL, SIGNAL + 0.1), (100.0 + SIGNAL, 100.0 + SIGNAL - 0.1)]
     assert nrmse_fit(pairs) == pytest.approx(nrmse_fit(pairs[:1]))
-
-
-def test_constant_outputs_have_an_rmse_and_no_fit() -> None:
-    """0.1 is no exact number: its mean differs from it in the last digit."""
-    simulated = np.full((500, 2), 0.4)
-    found = made(np.full((500, 2), 0.1), simulated, np.column_stack([np.ones(500), np.zeros(500)]))
-    assert np.isnan(found.fit).all()
-    assert found.rmse == pytest.approx((0.3, math.nan), nan_ok=True)
-    assert fit_scores([found]) == f"y0 RMSE 0.3 K ({CONSTANT})"  # the other was not measured
-    assert (fit_text(None), fit_text(math.nan), fit_text(-12.345)) == ("–", "–", "-12.35 %")
-    moving = made(SIGNAL[:, None], SIGNAL[:, None] + 0.1)
-    assert fit_scores([found, moving]) == f"run: y0 RMSE 0.3 K ({CONSTANT}); run: y0 {moving.fit[0]:.4g} % (RMSE 0.1 K)"

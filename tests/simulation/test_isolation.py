@@ -115,14 +115,6 @@ def test_crash_in_every_interface_and_call(folder: Path, version: int, kind: str
     check_costs_only_its_own(fmu, some, words, Isolation(), numerics=Numerics(kind), where=where)
 
 
-def test_closing_all_files_costs_nothing(folder: Path) -> None:
-    """Thetas and outputs are in memory that both sides share; the rest goes to a new process."""
-    some = thetas(Mode.CLOSE)
-    simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation(time_limit=600.0))
-    for _ in range(2):
-        assert np.array_equal(simulator(some), expected(folder, some))
-
-
 @pytest.mark.parametrize("where", [Where.RESET, Where.FREEING])
 def test_crash_after_a_simulation_costs_nothing(folder: Path, where: Where) -> None:
     """Some instances crash when they are reset or freed, or all."""
@@ -180,15 +172,6 @@ def test_printed_text_is_kept_apart(folder: Path) -> None:
     assert sys.platform != "linux" or "double free" in executor.printed()
 
 
-def test_ten_megabytes_of_text_neither_block_nor_fill_the_memory(folder: Path) -> None:
-    system = System(misbehaving_fmu(folder), isolation=Isolation())
-    some = thetas(Mode.CHATTER)[:4]
-    assert np.array_equal(Simulator(system, RECORD, NAMES, values={"amount": 10.0})(some), expected(folder, some))
-    said = executor_of(system).printed()
-    assert "a line on std" in said
-    assert len(said) < 2_000_000
-
-
 # --- memory
 
 
@@ -213,14 +196,6 @@ def test_recycling_bounds_the_memory_of_a_leak(folder: Path, monkeypatch: pytest
     (one, without), *leaked = sizes
     assert [one, *(simulations for simulations, _ in leaked)] == [1] + 6 * [10]
     assert all(9 * 8 <= size - without < 160 for _, size in leaked)
-
-
-def test_slow_leak_is_not_blamed(folder: Path) -> None:
-    """No single simulation takes more than the limit; all together they do, and go on in new processes."""
-    some = np.tile([2.0, 0.5, Mode.LEAK_ONCE], (12, 1))
-    isolation = Isolation(memory_limit_mb=300.0)
-    simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, values={"amount": 30.0}, isolation=isolation)
-    assert np.array_equal(simulator(some), expected(folder, some))
 
 
 # --- the same numbers as in-process

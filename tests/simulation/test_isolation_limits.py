@@ -16,7 +16,7 @@ import pytest
 
 from fmuid import FmuidError, InputError, Isolation, Simulator
 from fmuid.processes import HostExitError, ProcessEnd, ProcessStatus
-from fmuid.processes.limits import COMPUTED_SHARE, STANDSTILL_SECONDS, Footprint, condition_of, wants_processor
+from fmuid.processes.limits import COMPUTED_SHARE, Footprint, condition_of, wants_processor
 from fmuid.simulation import TIME_LIMITS, codes, executor_of
 from fmuid.simulation.isolation.host import HostWatchdog, TimeLimits, end_words
 from tests.support.experiments import record
@@ -163,14 +163,6 @@ def test_waiting_for_a_processor_is_not_charged(monkeypatch: pytest.MonkeyPatch)
     assert watched.end_after(3 * LIMIT, 0.09 * COMPUTED_SHARE) == OVER
 
 
-def test_time_in_which_nobody_looked_is_not_charged(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As where the machine stood still, both processes with it."""
-    watched = Watched(monkeypatch)
-    assert watched.end_after(10 * LIMIT, every=10 * LIMIT) is None
-    assert watched.end_after(LIMIT - 2 * STANDSTILL_SECONDS) is None
-    assert watched.end_after(2 * STANDSTILL_SECONDS) == OVER
-
-
 def test_process_at_rest_that_owes_an_answer_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     """A case of a batch calculates for hours between simulations; one that does not even calculate has no end."""
     watched = Watched(monkeypatch, codes.IDLE)
@@ -178,14 +170,6 @@ def test_process_at_rest_that_owes_an_answer_is_ended(monkeypatch: pytest.Monkey
     assert watched.end_after(0.9 * TIME_LIMITS.at_rest, 0.0, psutil.STATUS_SLEEPING, 0.1) is None
     end = watched.end_after(0.2 * TIME_LIMITS.at_rest, 0.0, psutil.STATUS_SLEEPING, 0.1)
     assert end == HostExitError(ProcessEnd.HUNG, round(1e3 * TIME_LIMITS.at_rest))
-
-
-def test_process_stopped_for_a_moment_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    watched = Watched(monkeypatch)
-    for _ in range(3):
-        assert watched.end_after(1.5, status=psutil.STATUS_STOPPED, every=0.1) is None
-        assert watched.end_after(0.5, 1.0, every=0.1) is None
-    assert watched.end_after(2.5, status=psutil.STATUS_STOPPED, every=0.1) == HostExitError(ProcessEnd.STOPPED, 0)
 
 
 @linux

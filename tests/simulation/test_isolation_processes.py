@@ -26,9 +26,7 @@ from fmuid import Experiment, FmuidError, Isolation, SimulationError, Simulator,
 from fmuid.array_types import Floats
 from fmuid.processes import SERVER, Child, HostExitError, ProcessEnd
 from fmuid.processes import host as hosts
-from fmuid.processes.channel import Channel, Look
 from fmuid.processes.host import ForkServer
-from fmuid.processes.limits import condition_of, family
 from fmuid.simulation import FmuHost, executor_of
 from fmuid.simulation.isolation import server
 from tests.support import spoilt_orders
@@ -46,8 +44,7 @@ from tests.support.isolated import (
     thetas,
     wait_until,
 )
-from tests.support.misbehaving import Mode, Where, lag, misbehaving_fmu
-from tests.support.quick import first
+from tests.support.misbehaving import Mode, lag, misbehaving_fmu
 
 pytestmark = PROCESSES
 linux = pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a fork shares the memory of its parent")
@@ -191,23 +188,6 @@ def test_script_needs_no_guard_and_warns_of_nothing(folder: Path, tmp_path: Path
 # --- FMUs that fork, write into the connection, or stop processes
 
 
-@linux
-@pytest.mark.parametrize("where", first(1, [Where.STEP, Where.INITIALIZATION, Where.RESET]))
-def test_fork_that_returns_costs_nothing(folder: Path, where: Where) -> None:
-    """It neither answers in place of its parent nor goes on with an order that is over."""
-    simulator = simulator_of(folder, where=where, amount=100.0)
-    some = thetas(Mode.RETURN_TWICE)
-    for _ in range(2):
-        assert np.array_equal(simulator(some), expected(folder, some))
-        host = executor_in(simulator)._host()
-        there = host._memory[:] = bytes(len(host._memory))
-        forks = family(host.pid)[1:]
-        assert forks
-        wait_until(lambda forks=forks: all(condition_of(f).status == psutil.STATUS_ZOMBIE for f in forks))  # type: ignore[misc]
-        assert host._memory[:] == there
-    assert executor_in(simulator)._host() is host
-
-
 def test_fmu_that_stops_its_server_costs_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither now nor afterwards, and no process is left."""
     monkeypatch.setattr("fmuid.processes.limits.STOPPED_SECONDS", 0.2)
@@ -261,21 +241,6 @@ def test_interruption_leaves_no_answer_for_the_next(monkeypatch: pytest.MonkeyPa
     assert [called_pid(other) for other in others] == [other.pid for other in others]
     for each in (host, *others):
         each.close()
-
-
-def test_garbage_collected_during_a_question_asks_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A system whose host is closed by the collector, in the thread that forks another."""
-    garbage, receive = FmuHost([], 1e9), Channel.receive
-
-    def collect(channel: Channel, look: Look | None = None) -> object:
-        monkeypatch.undo()
-        garbage.kill()
-        return receive(channel, look)
-
-    monkeypatch.setattr("fmuid.processes.host.Channel.receive", collect)
-    host = FmuHost([], 1e9)
-    assert called_pid(host) == host.pid
-    host.close()
 
 
 @pytest.mark.slow

@@ -22,12 +22,11 @@ from tests.support.closed_forms import ball, coil_response
 from tests.support.experiments import record
 from tests.support.exported import export_text
 from tests.support.hybrid import hybrid_fmu
-from tests.support.modelica import DRIVE, FRICTION, friction
+from tests.support.modelica import FRICTION, friction
 from tests.support.paths import FMUS
 from tests.support.quick import first
 
 COIL = FMUS / "Coil" / "Coil.fmu"
-MACHINE = FMUS / "InductionMachine" / "InductionMachine.fmu"
 INTEGRATORS: dict[str, dict[str, Any]] = {
     "rk4": {"integrator": "rk4", "step_size": 1e-4},
     "rk45": {"integrator": "rk45", "tolerance": 1e-11},
@@ -119,27 +118,6 @@ def test_coil_against_its_closed_form(
     assert worst(found, differences(response, [3.0, 0.05, 0.0])) < 1e-6
 
 
-def test_outputs_that_are_sums_and_connectors_that_set_several(folder: Path) -> None:
-    """The output is ids + iqs in a system whose connector R sets both resistances, Rr at half of it."""
-    times = np.arange(60) * 7e-4
-    system = System(
-        components={"m": MACHINE},
-        numerics=Numerics("model-exchange", "rk45", 1e-11),
-        connectors={"R": [("m.Rs", 1.0, 0.0), ("m.Rr", 0.5, 0.1)], "u": [("m.uds", 1.0, 0.0), ("m.uqs", -0.5, 3.0)]},
-    )
-    experiment = record(times, {"u": 100.0 * np.cos(times * 40)}, ["m.ids + m.iqs"], "linear")
-    simulator = Simulator(system, experiment, ["R", "m.Lf"], values={"m.w": 150.0})
-    expected = differences(simulator, [8.0, 0.07])
-    sensitivities = forward(simulator)
-    assert worst(sensitivities(np.array([8.0, 0.07])), expected) < 1e-6
-    hidden = System(
-        components={"m": without_derivatives(MACHINE, folder)}, numerics=system.numerics, connectors=system.connectors
-    )
-    twins = forward(Simulator(hidden, experiment, ["R", "m.Lf"], values={"m.w": 150.0}))
-    assert worst(twins(np.array([8.0, 0.07])), expected) < 1e-6
-    assert (sensitivities.by_differences, twins.by_differences) == (False, True)
-
-
 TIMES = np.linspace(0.0, 2.3, 47)
 
 
@@ -217,26 +195,6 @@ def test_an_event_that_changes_the_derivatives_is_left_to_twins(exported: Callab
     assert worst(found, differences(closed, [2.0, 3.0, 1.0], 1e-5)) < 1e-6
 
 
-@every_integrator
-def test_an_event_that_changes_nothing_is_no_obstacle(exported: Callable[[str], Path], name: str) -> None:
-    """The model has a kink where the speed changes its sign, but no jump."""
-    times = np.linspace(0.0, 1.0, 53)  # none beside a kink
-    names = ["R", "L", "k", "J", "i0"]
-    experiment = record(times, {"u": 10 * np.cos(9 * times)}, ["i", "w", "p"], "linear")
-    # differences of steps that the integrator chooses are rough unless these are short
-    settings, step = (INTEGRATORS[name], 1e-5) if name == "rk4" else ({"integrator": "rk45", "tolerance": 1e-13}, 1e-3)
-    simulator, accurate = (
-        Simulator(model_exchange(exported(DRIVE), **each), experiment, names) for each in (INTEGRATORS[name], settings)
-    )
-    theta = np.array([1.5, 0.2, 0.7, 0.05, 0.4])
-    speed = simulator(theta)[:, 1]
-    sensitivities = forward(simulator)
-    found = sensitivities(theta)
-    assert np.diff(np.sign(speed)).any()
-    assert not sensitivities.by_differences
-    assert worst(found, differences(accurate, theta, step)) < 1e-6
-
-
 @both_versions
 def test_directional_derivatives_that_are_refused_or_ignore_parameters_are_not_used(folder: Path, version: int) -> None:
     word = "providesDirectionalDerivative" + ("s" if version == 3 else "")
@@ -248,19 +206,6 @@ def test_directional_derivatives_that_are_refused_or_ignore_parameters_are_not_u
         found = sensitivities(np.array(theta))
         assert sensitivities.by_differences
         assert worst(found, differences(simulator, theta, 1e-4)) < 1e-6
-
-
-@pytest.mark.parametrize("integrator", ["rk45", "cvode"])
-def test_a_stiff_model(folder: Path, integrator: str) -> None:
-    """Van der Pol's equation with mu = 300: rk45 finds it stiff, and CVODE goes on with it."""
-    path = hybrid_fmu(folder, "van_der_pol", 2)
-    experiment = record(np.linspace(0.0, 100.0, 11), {}, ["x0"])
-    numerics = {} if integrator == "rk45" else {"integrator": "cvode", "tolerance": 1e-10}
-    simulator = Simulator(model_exchange(path, **numerics), experiment, ["p0", "start0"])
-    sensitivities = forward(simulator)
-    accurate = Simulator(model_exchange(path, integrator="cvode", tolerance=1e-12), experiment, ["p0", "start0"])
-    expected = differences(accurate, [300.0, 2.0], 1e-3)
-    assert worst(sensitivities(np.array([300.0, 2.0])), expected) < (1e-3 if integrator == "rk45" else 1e-6)
 
 
 def test_what_cannot_be_had_is_refused(folder: Path) -> None:

@@ -122,18 +122,6 @@ def test_failed_step_names_fmu_time_parameters_and_message(probe: ProbeMaker) ->
     assert batch.outputs[2, :, 0].tolist() == [0, 3, 6, 9, 12, 15]
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "words"),
-    [
-        ("fail_init", 3.0, r"t = 0 s .*nothing: cannot initialise with 3"),
-        ("nan_at", 1.5, r"t = 2 s with nan_at = 1\.5: output 'x' is not finite"),
-    ],
-)
-def test_failed_initialization_and_nan_outputs(probe: ProbeMaker, name: str, value: float, words: str) -> None:
-    with pytest.raises(SimulationError, match=words):
-        Simulator(probe(), record(np.arange(4.0)), [name])([value])
-
-
 @pytest.mark.parametrize("defines", [("FATAL",), ("NO_RESET",)])
 def test_new_instance_serves_after_a_fatal_error_or_without_reset(probe: ProbeMaker, defines: tuple[str]) -> None:
     simulator = Simulator(probe(*defines), ramp(), ["gain", "fail_at"])
@@ -182,12 +170,6 @@ def test_interruption_ends_the_simulations_of_other_threads(tmp_path: Path, monk
 
 
 # --- instances and warnings
-
-
-def test_binary_without_functions_that_nobody_calls_serves(probe: ProbeMaker) -> None:
-    here = Path.cwd()
-    assert Simulator(probe("INCOMPLETE"), ramp(3))([])[:, 0].tolist() == [0, 1, 2]
-    assert Path.cwd() == here
 
 
 def test_one_instance_serves_where_the_fmu_allows_no_more(probe: ProbeMaker) -> None:

@@ -101,12 +101,6 @@ def test_units_are_those_of_the_table() -> None:
     assert slopes[0, :, 0] == pytest.approx((u - 8.0) / 0.1, abs=1e-9)
 
 
-def test_without_model_exchange_of_one_fmu_there_is_none() -> None:
-    coil = FMUS / "Coil" / "Coil.fmu"
-    pair = fmuid.System(components={"a": coil, "b": coil})
-    assert RightHandSide.of(fmuid.Simulator(pair, record(TIMES, {"a.u": INPUT}, ["b.i"]), ["a.R"])) is None
-
-
 # --- corrections
 
 

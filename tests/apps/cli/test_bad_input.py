@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import struct
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,12 +11,10 @@ import fmpy
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.io import savemat
 
 import fmuid
 from fmuid.apps.cli.app import run
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED
-from fmuid.data.data_file import read_data
 from tests.support.bad_input import COIL, SOUND, refused, rezip, table
 from tests.support.coil_study import fmuid_
 
@@ -83,40 +79,6 @@ def test_numbers_that_overflow_warn_of_nothing(coil_folder: Path, capsys: pytest
     table(coil_folder, pd.DataFrame({"time": [0.0, 1e-3, 2e-3], "u": 1.0, "i": [0.0, 1e300, -1e300]}))
     assert run(["simulate", str(coil_folder / "study.toml"), "--no-isolation"]) == DONE
     assert "inf A" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("place", "content", "compressed"),
-    [
-        (184, b"\x7f", False),  # the type of numbers: SciPy's reader ends the process
-        (184, b"\x7f", True),
-        (145, b"\x08", False),  # complex, without the imaginary part
-        (132, b"\xff\xff\xff\x7f", True),
-    ],
-)
-def test_damaged_mat_files(coil_folder: Path, refuse: Refused, place: int, content: bytes, compressed: bool) -> None:
-    savemat(coil_folder / "run.mat", {"time_s": np.arange(3.0), "u": np.ones(3), "i": np.ones(3)})
-    raw = bytearray((coil_folder / "run.mat").read_bytes())
-    raw[place : place + len(content)] = content
-    if compressed:
-        inside = zlib.compress(bytes(raw[128:]))
-        raw[128:] = struct.pack("<II", 15, len(inside)) + inside
-    (coil_folder / "run.mat").write_bytes(raw)
-    (coil_folder / "study.toml").write_text(SOUND.replace("run.csv", "run.mat"))
-    assert "run.mat: " in refuse("simulate", "study.toml")
-
-
-def test_mat_files_with_a_name_twice_and_nested_deeply(coil_folder: Path, refuse: Refused) -> None:
-    savemat(coil_folder / "run.mat", {"time": np.arange(3.0), "u": np.ones(3), "i": np.ones(3)})
-    content = (coil_folder / "run.mat").read_bytes()
-    (coil_folder / "run.mat").write_bytes(content + content[128:])  # after its header
-    (coil_folder / "study.toml").write_text(SOUND.replace("run.csv", "run.mat"))
-    assert "run.mat: not a readable MAT file" in refuse("simulate", "study.toml")
-    cell: Any = np.array([1.0])
-    for _ in range(60):
-        cell = np.array([cell, None], dtype=object)[:1]
-    savemat(coil_folder / "deep.mat", {"time": [0.0, 1.0], "c": cell})
-    assert list(read_data(coil_folder / "deep.mat").columns) == ["time"]
 
 
 # --- FMUs ---------------------------------------------------------------------------------
@@ -267,11 +229,6 @@ def test_names_that_no_file_has(coil_folder: Path, capsys: pytest.CaptureFixture
         assert name in refused(capsys, *command)
 
 
-def test_output_that_is_a_file(coil_folder: Path, refuse: Refused) -> None:
-    (coil_folder / "results").write_text("a file where the folder should be")
-    assert "results" in refuse("identify", "study.toml")
-
-
 ROWS = "".join(f"{k / 100},{k % 20 // 10},{np.sin(k)}\n" for k in range(50))
 TABLES: dict[str, tuple[str | bytes, str]] = {
     "empty": ("", "empty. Give a header"),
@@ -320,10 +277,3 @@ def test_channels_that_measured_nothing_or_in_another_unit(tmp_path: Path, capsy
     said = started(tmp_path, capsys, frame.assign(u=1000 * frame["u"]))
     (ratio,) = re.findall(r"bench.csv: simulated 'i' varies (\S+) times as much as measured", said)
     assert float(ratio) == pytest.approx(1000, rel=0.3)
-
-
-def test_a_header_of_400_names(tmp_path: Path) -> None:
-    names = ",".join(f"c{k}" for k in range(400))
-    rows = "".join(f"{k / 100},{k % 3},{np.sin(k)},{'1,' * 399}1\n" for k in range(8))
-    (tmp_path / "bench.csv").write_text(f"time,u,i,{names}\n{rows}")
-    assert fmuid_("init", COIL, tmp_path / "bench.csv", "-o", tmp_path / "study.toml") == DONE

@@ -9,40 +9,22 @@ import tomllib
 import warnings
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
 
 import fmuid
-from experiments.batches.campaign import R, coil_current
+from experiments.batches.campaign import R
 from fmuid.apps.cli import app as cli
 from fmuid.apps.cli.options import DONE, WRONG_INPUT
 from fmuid.errors import ModelicaWarning
 from fmuid.studies import draft, match_data_files
 from fmuid.studies.study import Study
 from tests.support.coil_study import COIL, SECOND, STUDY, fmuid_, result
-from tests.support.paths import FMUS
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
 
 
 # --- simulate ----------------------------------------------------------------------------
-
-
-def test_simulate(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ("--set", "parameters.R.start=4.0", "--set", "parameters.L.start=0.1")
-    assert fmuid_("simulate", folder / "study.toml", *arguments) == DONE
-    table = pd.read_csv(folder / "first.csv")
-    simulated = pd.read_csv(folder / "results/simulated.csv")
-    assert list(simulated.columns) == ["time", "i"]
-    exact = coil_current(table["u"].to_numpy(), 0.0)
-    np.testing.assert_allclose(simulated["i"], exact, atol=1e-9)
-    error = np.linalg.norm(table["i"] - exact)
-    fit = 100.0 * (1.0 - error / np.linalg.norm(table["i"] - table["i"].mean()))
-    out = capsys.readouterr().out
-    assert f"{fit:.4g} %" in out
-    assert f"{error / np.sqrt(len(table)):.4g} A" in out
-    assert [path.name for path in (folder / "results/figures").iterdir()] == ["fit.png"]
 
 
 def test_simulate_several_experiments_and_api(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -60,32 +42,6 @@ def test_simulate_several_experiments_and_api(folder: Path, capsys: pytest.Captu
 
 
 # --- info, init, export, help ------------------------------------------------------------
-
-
-def test_info(capsys: pytest.CaptureFixture[str]) -> None:
-    assert fmuid_("info", FMUS / "InductionMachine/InductionMachine.fmu") == DONE
-    out = capsys.readouterr().out
-    for text in (
-        "InductionMachine",
-        "FMI version",
-        "2.0",
-        "co-simulation",
-        "model-exchange",
-        "variable communication steps, interpolates inputs",
-        "directional derivatives",
-        "linux64",
-        "step 0.0007 s",
-        "Parameters (8)",
-        "Inputs (3)",
-        "Outputs (2)",
-        "States (4)",
-        "magnetising inductance",
-        "rad/s",
-        "4 other variables",
-    ):
-        assert text in out
-    (line,) = [line for line in out.splitlines() if line.startswith("Rs ")]
-    assert line.split()[:4] == ["Rs", "9.81", "Ohm", "0"]
 
 
 def test_init_gives_a_study_that_runs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

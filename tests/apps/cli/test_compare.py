@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
 
@@ -79,21 +78,6 @@ def test_on_a_common_table(made: Path, tmp_path: Path, capsys: pytest.CaptureFix
     assert table["both"]["rmse.i"] == pytest.approx(alone.scores[0].rmse)
     assert 100.0 - table["wrong"]["fit"] > 1.5 * (100.0 - table["both"]["fit"])
     assert "RMSE i (A)" in out
-
-
-@pytest.mark.usefixtures("drawn_figures")
-def test_compare_on_constant_output_gives_rmse(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Where the measured output never changes there is no fit to draw or to rank by."""
-    pd.read_csv(made / "third.csv").assign(i=0.1).to_csv(tmp_path / "still.csv", index=False)
-    words = (made / "both", made / "other", "--data", tmp_path / "still.csv", "-o", tmp_path / "out")
-    assert fmuid_("compare", *words, "--no-isolation") == DONE
-    assert "Common data: fit undefined" in " ".join(capsys.readouterr().out.split())
-    table = rows(tmp_path / "out")
-    assert np.isnan([each["fit"] for each in table.values()]).all()
-    assert np.isfinite([each["rmse.i"] for each in table.values()]).all()
-    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert "RMSE i (A)" in page
-    assert "best:" not in page
 
 
 @pytest.mark.parametrize(

@@ -108,15 +108,3 @@ def test_uncertainty_needs_a_minimum(folder: Path, capsys: pytest.CaptureFixture
     assert fmuid_("identify", folder / "study.toml", *HASTY) == NOT_SUCCEEDED
     assert "[uncertainty] was skipped" in capsys.readouterr().err
     assert not result(folder / "results")["assessment"]["profiles"]
-
-
-def test_loss(folder: Path) -> None:
-    """Gross outliers pull the plain sum of squares away, and hardly a robust one."""
-    table = pd.read_csv(folder / "first.csv")
-    table.loc[::20, "i"] += 1.0
-    table.to_csv(folder / "first.csv", index=False)
-    away = {}
-    for loss in ("linear", "cauchy"):
-        found = Study.read(folder / "study.toml", [f"estimation.loss={loss}"]).identify()
-        away[loss] = abs(found["R"] - R)
-    assert away["cauchy"] < 0.1 * away["linear"]

@@ -16,7 +16,6 @@ from fmuid.apps.cli.app import COMPLETION, app, run
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED
 from fmuid.reports.document import Column, Document, Message, Remark, Section
 from fmuid.reports.render import console
-from fmuid.reports.render.screen import Screen, screen, showing
 from tests.support.coil_study import STUDY, coil_table, fmuid_
 from tests.support.paths import FMUS
 
@@ -86,13 +85,6 @@ def test_all_commands_with_documents_have_the_options() -> None:
     }
     analyses = {"simulate", "identify", "diagnose", "monitor", "design", "batch"}
     assert shown == analyses | {"predict", "compare", "info", "validate"}
-
-
-def test_output_options_end_with_their_command() -> None:
-    before = screen()
-    with pytest.raises(ZeroDivisionError), showing(Screen(json=True)):
-        raise ZeroDivisionError
-    assert screen() is before
 
 
 class Told(Message):

@@ -55,22 +55,6 @@ def test_records_are_predicted(made: Path, tmp_path: Path, capsys: pytest.Captur
 
 
 @pytest.mark.usefixtures("drawn_figures")
-def test_predict_constant_output_gives_rmse(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A fit in % has no meaning there, in no file and on no page."""
-    table = pd.read_csv(made / "second.csv")
-    table.assign(i=0.1).to_csv(tmp_path / "still.csv", index=False)
-    words = ("-o", tmp_path / "out", "--no-isolation")
-    assert fmuid_("predict", made / "results", tmp_path / "still.csv", *words) == DONE
-    out = " ".join(capsys.readouterr().out.split())
-    assert "still: i predicted" in out
-    assert "constant as measured: no fit" in out
-    content = json.loads((tmp_path / "out" / "prediction.json").read_text())
-    assert content["predictions"][0]["scores"][0]["fit"] is None
-    assert pd.read_csv(tmp_path / "out" / "scores.csv")["fit"].isna().all()
-    assert "no fit" in (tmp_path / "out" / "report.html").read_text()
-
-
-@pytest.mark.usefixtures("drawn_figures")
 def test_the_record_of_the_result_is_no_prediction(
     made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

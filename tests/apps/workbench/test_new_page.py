@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import gzip
 from pathlib import Path
 
 import numpy as np
 import pytest
 from bokeh.document import Document
-from bokeh.models import ColumnDataSource
 
 from fmuid.apps.cli.options import DONE
 from fmuid.apps.workbench.pages.new import NewPage
@@ -24,12 +22,6 @@ def page(tmp_path: Path) -> NewPage:
     text = (tmp_path / "bench.csv").read_text().replace("time,u,i", "time,U_soll,strom")
     (tmp_path / "bench.csv").write_text(text)
     return NewPage(Document(), bench_of(tmp_path))
-
-
-def lines(page: NewPage) -> set[float]:
-    """Return all values that are drawn."""
-    columns = [each for source in page.drawn.select({"type": ColumnDataSource}) for each in source.data.values()]
-    return {float(value) for column in columns for value in column}
 
 
 def test_data_files_are_shown_as_read(page: NewPage) -> None:
@@ -50,17 +42,6 @@ def test_data_files_are_shown_as_read(page: NewPage) -> None:
     assert "sample rate: -3 is not a number above 0" in page.said.text
 
 
-@pytest.mark.parametrize(
-    ("name", "encoding"), [("bench.csv", "cp1252"), ("bench.csv", "utf-16"), ("bench.csv.gz", "utf-8")]
-)
-def test_first_lines_are_decoded(page: NewPage, tmp_path: Path, name: str, encoding: str) -> None:
-    content = ("# Prüfstand 7\n" + (tmp_path / "bench.csv").read_text()).encode(encoding)
-    (tmp_path / name).write_bytes(gzip.compress(content) if name.endswith(".gz") else content)
-    page.tables.options = [name]
-    page.tables.value = [name]
-    assert "# Prüfstand 7\ntime,U_soll,strom" in page.said.text
-
-
 def test_chosen_columns_are_in_the_command(page: NewPage) -> None:
     page.tables.value = ["bench.csv"]
     page.maps["i"].value = "(none)"
@@ -70,23 +51,6 @@ def test_chosen_columns_are_in_the_command(page: NewPage) -> None:
     page.maps["u"].value = "U_soll"
     assert page.words()[-4:] == ["--map", "u=U_soll", "--map", "i=strom"]
     assert "given" in page.said.text
-
-
-def test_preprocessing_is_drawn_before_and_after(page: NewPage) -> None:
-    page.tables.value = ["bench.csv"]
-    page.maps["u"].value, page.maps["i"].value = "U_soll", "strom"
-    before = lines(page)
-    page.prepare["detrend"].value = "mean"
-    assert before < lines(page)
-    mean = page.records[0].frame["strom"].mean()
-    after = page.records[0].experiment
-    assert after is not None
-    np.testing.assert_allclose(
-        after.output_values[:, 0], page.records[0].frame["strom"].to_numpy() - mean, rtol=1e-12, atol=1e-12
-    )
-    page.prepare["resample_interval"].value = "many"
-    assert "role=alert" in page.said.text
-    assert page.command.text == ""  # of what is not to be written
 
 
 @pytest.mark.slow

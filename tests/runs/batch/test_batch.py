@@ -45,15 +45,6 @@ def test_rows_do_not_depend_on_groups(folder: Path, here: Any) -> None:
     assert f"<b>{DRAWS} of {DRAWS} cases done</b>" in (again._repr_html_() or "")
 
 
-def test_messages_name_the_users_own_data(fleet: Path, here: Any) -> None:
-    here()
-    found = run(fleet)
-    same(found.frame, expected(fleet))
-    failed = found.frame[found.frame["status"] == "failed"]
-    assert failed["table"].tolist() == ["r2", "r2"]
-    assert failed["message"].str.startswith(str(fleet / "records" / "r2.csv")).all()
-
-
 @pytest.mark.parametrize("isolated", [False, True])
 def test_messages_name_the_users_own_model(folder: Path, here: Any, isolated: bool) -> None:
     shutil.copy(COIL, folder / "mine.fmu")

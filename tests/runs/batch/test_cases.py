@@ -12,8 +12,7 @@ from scipy.stats import qmc
 
 from fmuid.errors import InputError
 from fmuid.runs.batch.case_list import CaseList
-from fmuid.studies.study import Study
-from tests.support.coil_cases import COIL, STD, record, study_of
+from tests.support.coil_cases import STD, record, study_of
 
 # --- what the cases are
 
@@ -121,27 +120,3 @@ def test_records_are_called_as_shortly_as_they_can_be_told_apart(case_folder: Pa
     assert names("more/run1.*") == ["more/run1.csv", "more/run1.parquet"]
     given = study_of(case_folder, {"data": {"first": "records/run2.csv"}})
     assert [case.settings for case in CaseList.of(given)] == [{"table": "first"}]
-
-
-def test_a_study_is_its_data_and_names_its_files(case_folder: Path) -> None:
-    path = case_folder / "study.toml"
-    path.write_text(
-        f'title = "Coils"\n[model]\nfmu = "{COIL.as_posix()}"\n[[experiments]]\ndata = "table.csv"\ninputs = ["u"]\n'
-        'outputs = ["i"]\n[parameters]\nR = { start = 3.0 }\n[batch]\ndata = "records/*.csv"\n'
-        "monte_carlo = { realizations = 2, std = { i = 0.1 } }\n",
-        encoding="utf-8",
-    )
-    overrides = ["parameters.R.start=2.5", "batch.monte_carlo.realizations=7", "batch.sweep.i_start=[0.0, 1.0]"]
-    study = Study.read(path, overrides)
-    assert Study.of(study.data, path) == study
-    assert study.parameters["R"].start == 2.5
-    assert len(CaseList.of(study)) == 42
-    assert study.files() == (
-        COIL,
-        case_folder / "table.csv",
-        *(case_folder / "records" / f"run{k}.csv" for k in (1, 10, 2)),
-    )
-    begun = Study.of(
-        Study.read(path, ["batch.space_filling.points=4", "batch.space_filling.ranges.i_start=[0.0, 1.0]"]).data, path
-    )
-    assert len(CaseList.of(begun)) == 24

@@ -21,7 +21,6 @@ from fmuid import files
 from fmuid.errors import FmuidError, InputError
 from fmuid.runs.batch import dataset as module
 from fmuid.runs.batch.dataset import Dataset, read_part
-from fmuid.runs.batch.worker import LOG_BYTES, bounded
 
 COLUMNS = {
     "case": "int64",
@@ -76,21 +75,6 @@ def test_rows_come_back_sorted_and_exact(tmp_path: Path) -> None:
     assert empty.read().dtypes.tolist() == expected([1]).dtypes.tolist()
 
 
-@pytest.mark.parametrize("rows", [10, 100])
-def test_compact(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rows: int) -> None:
-    monkeypatch.setattr(module, "PART_ROWS", rows)
-    order = np.random.default_rng(2).permutation(50).tolist()
-    found = filled(tmp_path, order, each=6)
-    found.compact()
-    sizes = [pq.read_metadata(path).num_rows for path in found.parts()]
-    assert sizes == ([10] * 5 if rows == 10 else [50])
-    assert pd.concat([pd.read_parquet(path) for path in found.parts()])["case"].tolist() == list(range(50))
-    same(found.read(), expected(order))
-    before = found.parts()
-    found.compact()
-    assert found.parts() == before
-
-
 def test_many_small_parts_are_merged_on_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "LOOSE_PARTS", 5)
     found = filled(tmp_path, list(range(20)), each=1)
@@ -141,16 +125,6 @@ def test_a_damaged_part_is_found_and_removed(tmp_path: Path) -> None:
     assert np.flatnonzero(found.finished()).tolist() == [0, 1, 2, 6, 7, 8]
     rest = [read_part(path, lambda name: name == "set.x").to_pandas() for path in found.parts()]
     same(pd.concat(rest, ignore_index=True), expected([0, 1, 2, 6, 7, 8])[["case", "set.x"]])
-
-
-def test_pages_have_checksums_for_other_readers(tmp_path: Path) -> None:
-    part = filled(tmp_path, list(range(9)), each=9).parts()[0]
-    whole = part.read_bytes()
-    column = pq.ParquetFile(part).metadata.row_group(0).column(2)  # set.x
-    place = column.data_page_offset + column.total_compressed_size // 2
-    part.write_bytes(whole[:place] + bytes([whole[place] ^ 0x10]) + whole[place + 1 :])
-    with pytest.raises(OSError, match="CRC checksum verification failed"):
-        pd.read_parquet(part, page_checksum_verification=True)
 
 
 def test_a_case_that_the_batch_has_not(tmp_path: Path) -> None:
@@ -236,12 +210,3 @@ def test_clear_removes_rows_and_logs_and_nothing_else(tmp_path: Path) -> None:
     found.clear()
     assert {path.name for path in tmp_path.iterdir()} == {"cases", "notes.md"}
     assert not list(found.cases.iterdir())
-
-
-def test_logs_are_bounded() -> None:
-    assert bounded("short\n") == "short\n"
-    long = "beginning " + "ä" * LOG_BYTES + " end"
-    cut = bounded(long)
-    assert len(cut.encode()) <= LOG_BYTES
-    assert (cut[:10], cut[-4:]) == ("beginning ", " end")
-    assert f"{len(long.encode()) - 2 * (LOG_BYTES // 2 - 40)} bytes left out" in cut

@@ -14,7 +14,6 @@ import pandas as pd
 import pytest
 from numpy.typing import NDArray
 
-from fmuid.data.noise import Noise
 from fmuid.errors import InputError
 from fmuid.estimation import Marquardt
 from fmuid.estimation.evaluator import Evaluator
@@ -176,11 +175,3 @@ def test_refusals_of_the_whole_study(case_folder: Path) -> None:
         CaseList.of(study_of(case_folder, {"data": "records/*.csv"}, experiments=twice))
     with pytest.raises(InputError, match="no parameter 'Q'"):
         CaseList.of(study_of(case_folder, {"starting_points": 2}, parameters={"Q": {"start": 1.0}}))
-
-
-def test_the_noise_of_a_study_is_that_of_its_draws(case_folder: Path) -> None:
-    study = study_of(case_folder, {"monte_carlo": {"realizations": 2}}, noise={"variance": 0.04})
-    assert study.batch is not None
-    assert study.batch.monte_carlo is not None
-    assert study.noise == Noise(0.04)
-    assert study.batch.monte_carlo.std == pytest.approx({"i": 0.2})

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import logging
-import signal
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +14,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from distributed import KilledWorker
-from distributed.utils import LoopRunner, sync
 
 from fmuid.errors import FmuidError
 from fmuid.runs.batch import worker_pool as cluster
@@ -24,7 +21,6 @@ from fmuid.runs.batch.case import CaseRunner
 from fmuid.runs.batch.local_workers import CALM
 from fmuid.runs.batch.study_package import StudyPackage
 from fmuid.runs.batch.worker import GroupResult, IsolatedCases, run_group
-from fmuid.runs.batch.worker_pool import GroupSizes
 from fmuid.studies.study import Study
 from tests.support.coil_batches import DRAWS, Here, run
 from tests.support.coil_cases import bits
@@ -41,22 +37,6 @@ def test_the_inside_of_dask_is_quiet() -> None:
     with cluster._quiet():
         assert not any(logger.isEnabledFor(logging.CRITICAL) for logger in loggers)
     assert [logger.level for logger in loggers] == before
-
-
-def test_sizes_of_groups() -> None:
-    sizes = GroupSizes()
-    assert sizes.next(10_000, 2) == 1
-    seen = []
-    for _ in range(20):
-        count = sizes.next(10_000, 2)
-        seen.append(count)
-        sizes.learn(count, 0.04 * count + (2.0 if len(seen) == 1 else 0.0))
-    assert seen[:4] == [1, 1, 2, 4]  # the first took long, and its worker is warm now
-    assert seen[-1] == 75  # 3 s
-    assert sizes.next(40, 2) == 10
-    assert sizes.next(3, 2) == 1
-    sizes.learn(75, 750.0)
-    assert sizes.next(10_000, 2) == 1
 
 
 def test_a_case_that_ends_its_workers_is_given_up(folder: Path, here: Any) -> None:
@@ -146,31 +126,6 @@ def test_lost_tasks_of_dask_say_nothing() -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_an_interrupt_before_the_loop_answers(caplog: pytest.LogCaptureFixture) -> None:
-    """Ctrl-C while Dask's loop is busy with something else leaves no log lines on the terminal."""
-    runner: Any = LoopRunner(asynchronous=False)
-    runner.start()
-
-    async def late() -> None:
-        raise AssertionError
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGALRM, interrupt)
-    try:
-        with cluster._quiet():
-            runner.loop.add_callback(time.sleep, 0.2)
-            signal.setitimer(signal.ITIMER_REAL, 0.05)
-            with pytest.raises(KeyboardInterrupt):
-                sync(runner.loop, late)
-            time.sleep(0.3)  # the loop comes to it
-    finally:
-        signal.signal(signal.SIGALRM, before)
-        runner.stop()
-    assert caplog.text == ""
-
-
 needs_fork = pytest.mark.skipif(sys.platform == "win32", reason="processes of their own need fork")
 
 
@@ -202,16 +157,6 @@ def test_what_several_cases_of_an_order_print_is_told_apart(tmp_path: Path) -> N
     plain = CaseRunner(study)
     for k in (0, 1, 3):
         assert found[k].row["value.gain"] == plain(k).row["value.gain"]
-
-
-@needs_fork
-def test_a_case_that_ends_the_process_costs_no_other_of_its_order(tmp_path: Path) -> None:
-    found = IsolatedCases(study_of(tmp_path, [Mode.SOUND, Mode.SPEAK, Mode.SEGFAULT, Mode.SOUND])).run(range(4))
-    assert [outcome.row["status"] == "failed" for outcome in found] == [False, False, True, False]
-    assert "SIGSEGV" in str(found[2].row["message"])
-    assert found[1].log
-    assert not found[3].log
-    assert found[3].row["value.gain"] == found[0].row["value.gain"]
 
 
 @needs_fork

@@ -18,13 +18,12 @@ from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError
 from fmuid.estimation.evaluator import Evaluator
 from fmuid.identification import Problem, identify
-from fmuid.runs.batch.case import VOLATILE, CaseRunner, directions_of
+from fmuid.runs.batch.case import VOLATILE, CaseRunner
 from fmuid.runs.batch.case_list import CaseList, truth_of
 from fmuid.runs.batch.case_problem import problem_of
 from fmuid.runs.batch.summary import summarize
-from fmuid.simulation.simulator import Simulator
 from fmuid.studies.study import Study
-from tests.support.coil_cases import COIL, STD, TIMES, L, R, bits, current, record, study_of
+from tests.support.coil_cases import COIL, STD, TIMES, L, R, bits, current, study_of
 from tests.support.drawn_batches import summary_words
 from tests.support.paths import ROOT
 from tests.support.stepping import LAG, stepping_fmu
@@ -60,21 +59,6 @@ def test_estimates_of_a_monte_carlo_scatter_as_the_closed_form(case_folder: Path
     assert truth_of(study_of(case_folder, one)) == {"R": R, "L": 0.2}
 
 
-def test_rows_have_the_columns_that_the_runner_names(case_folder: Path) -> None:
-    runner = CaseRunner(study_of(case_folder, {"data": ["records/run1.csv", "records/none.csv"], "starting_points": 1}))
-    expected = "case table start.R start.L status message undetermined verdict reasons value.R value.L std.R "
-    expected += "std.L noise.i fit.i rmse.i cost iterations simulations rejected accuracy shift finer"
-    assert [*runner.columns] == [*expected.split(), *VOLATILE]
-    rows = [runner(k).row for k in range(2)]
-    assert [list(row) for row in rows] == [list(runner.columns)] * 2
-    frame = pd.DataFrame(rows).astype(runner.columns)
-    assert frame["status"].tolist() == ["converged", "failed"]
-    assert frame.loc[1, "message"] == f"{case_folder / 'records/none.csv'}: file not found. Give a data file."
-    assert frame[["value.R", "std.L", "noise.i", "cost"]].isna().to_numpy()[1].all()
-    assert [rows[1][name] for name in ("iterations", "simulations", "rejected")] == [0, 0, 0]
-    assert (frame["elapsed_s"] > 0).all()
-
-
 def test_records_are_identified_as_studies_of_their_own(case_folder: Path) -> None:
     runner = CaseRunner(study_of(case_folder, {"data": "records/*.csv"}))
     for k, name in enumerate(("run1", "run10", "run2")):
@@ -106,33 +90,6 @@ def test_sweeps_and_subsets_are_studies_of_their_own(case_folder: Path) -> None:
     assert both["value.L"] == identify(study.problem(), restart=False)["L"]
 
 
-def disturbed(study: Study, truth: dict[str, float], words: list[int]) -> Experiment:
-    """Return the study's experiment as simulated at a truth, with the noise of these words of a seed."""
-    (table,) = study.tables
-    clean = Simulator(study.system, table, tuple(truth))(list(truth.values()))
-    noise = np.random.default_rng(np.random.SeedSequence(words)).standard_normal(clean.shape)
-    frame = table.frame.assign(i=(clean + STD * noise)[:, 0])
-    return Experiment(frame, ["u"], ["i"], interpolation="zoh")
-
-
-def test_truth_takes_the_values_swept_unless_it_has_its_own(case_folder: Path) -> None:
-    for truth in ({"R": R}, {"R": R, "L": 0.1}):
-        batch = {
-            "sweep": {"L": [0.1, 0.13]},
-            "monte_carlo": {"realizations": 2, "std": STD, "true_values": truth},
-            "seed": 9,
-        }
-        study = study_of(case_folder, batch)
-        assert truth_of(study) == truth
-        runner = CaseRunner(study)
-        for k, (held, draw) in enumerate(itertools.product((0.1, 0.13), (0, 1))):
-            experiment = disturbed(study, {"L": held} | truth, [9, 3, draw, 0])
-            parameters = {"R": study.parameters["R"]}
-            result = identify(Problem(study.system, experiment, parameters, values={"L": held}), restart=False)
-            # the steps of the first differences are rounded in a batch
-            assert runner(k).row["value.R"] == pytest.approx(result.values[0], abs=1e-5 * result.std[0])
-
-
 def test_noise_is_common_to_what_it_is_compared_over_and_differs_else(case_folder: Path) -> None:
     def measured(batch: dict[str, Any]) -> list[NDArray[np.float64]]:
         noise = {"realizations": 2, "std": STD, "true_values": {"R": R, "L": L}}
@@ -152,17 +109,6 @@ def test_noise_is_common_to_what_it_is_compared_over_and_differs_else(case_folde
     correlation = np.corrcoef(noises) - np.eye(len(noises))
     assert np.abs(correlation).max() < 5 / math.sqrt(TIMES.size)
     assert np.array_equal(measured({"data": ["records/run2.csv"]})[1], measured({"data": "records/*.csv"})[5])
-
-
-def test_noise_needs_no_measurements_and_leaves_missing_ones_out(case_folder: Path) -> None:
-    record(0)[["time", "u"]].to_csv(case_folder / "table.csv", index=False)
-    row = monte_carlo(case_folder, 1)(0).row
-    assert row["status"] == "converged"
-    frame = record(0)
-    frame.loc[10:50, "i"] = np.nan
-    frame.to_csv(case_folder / "table.csv", index=False)
-    runner = monte_carlo(case_folder, 1)
-    assert runner.problem(runner.cases[0]).measured.size == TIMES.size - 41
 
 
 EXCHANGE = {"fmu": str(COIL), "interface": "model-exchange"}
@@ -189,22 +135,6 @@ def test_a_stiff_case_does_not_change_the_next(case_folder: Path) -> None:
     assert stiff.models[""]["run"]["stiff"]
     after(0)
     assert bits(after(1).row) == bits(alone(1).row)
-
-
-def test_non_identifiable_parameters_of_a_row(case_folder: Path) -> None:
-    """A current that is always zero, of a coil without a voltage: nothing is known of R and L."""
-    frame = record(0)
-    frame["u"], frame["i"] = 0.0, 0.0
-    frame.loc[:5, "u"] = 1e-3  # what it drives drowns in the noise
-    frame.to_csv(case_folder / "table.csv", index=False)
-    row = monte_carlo(case_folder, 1)(0).row
-    assert (row["status"], row["message"]) == ("not converged", "undetermined")
-    found = directions_of(str(row["undetermined"]))
-    assert {name for each in found for name in each.names} <= {"R", "L"}
-    assert found
-    assert (
-        CaseRunner(study_of(case_folder, {"starting_points": 1, "data": "records/*.csv"}))(0).row["undetermined"] == ""
-    )
 
 
 def test_a_global_search_is_the_study_s_own(case_folder: Path) -> None:
@@ -251,18 +181,6 @@ def test_parameters_per_experiment(case_folder: Path) -> None:
     assert truth_of(held) == {"R[run1]": 3.8, "R[run2]": 4.4, "L": 0.1}
 
 
-def test_many_draws_share_what_they_can_whichever_comes_first(case_folder: Path) -> None:
-    one, many = monte_carlo(case_folder, 1), monte_carlo(case_folder, 60)
-    for k in (3, 0):
-        row, fresh = many(k).row, monte_carlo(case_folder, 60)(k).row
-        assert bits(row) == bits(fresh)
-    found, alone = (pd.Series(each).infer_objects() for each in (row, one(0).row))
-    assert found["simulations"] < alone["simulations"]
-    for name in "RL":
-        assert abs(found[f"value.{name}"] - alone[f"value.{name}"]) < 0.02 * alone[f"std.{name}"]
-        assert found[f"std.{name}"] == pytest.approx(alone[f"std.{name}"], rel=1e-2)
-
-
 HEALTHY = ROOT / "experiments" / "coil" / "healthy.toml"
 
 
@@ -279,32 +197,6 @@ def frame_of(runner: CaseRunner, order: list[int]) -> pd.DataFrame:
 def same(one: pd.DataFrame, other: pd.DataFrame) -> bool:
     """Whether all but the volatile columns are the same bit for bit."""
     return one.drop(columns=list(VOLATILE)).equals(other.drop(columns=list(VOLATILE)))
-
-
-def test_what_is_known_is_not_simulated_again() -> None:
-    batch = {"monte_carlo": {"realizations": 12, "std": 0.035, "true_values": {"R": 4.0, "L": 0.1}}}
-    runner = coil(batch)
-    found = frame_of(runner, [*range(12)])
-    without = frame_of(coil(batch, 'estimation.solver_check="off"'), [*range(12)])
-    assert (found["accuracy"] == "passed").all()
-    assert found["shift"].max() < 1e-6
-    assert found["checked"].sum() == 0  # none by simulations of its own
-    for name in ("value.R", "std.L", "cost", "simulations"):
-        assert found[name].equals(without[name])
-    assert same(found, frame_of(coil(batch), [7, 3, *range(8, 12), 0, 1, 2, 4, 5, 6]))
-    assert (without["accuracy"] == "").all()
-    summary = summarize(found)
-    assert summary.accuracy == {"passed": 12, "checked": int(found["checked"].sum()), "finer": 0}
-    assert any("in 12 cases" in sentence for sentence in summary_words(summary))
-    assert summarize(without).accuracy == {}
-
-
-def test_starts_that_fail_or_alias() -> None:
-    starts = [{"R": 3.0, "L": 0.2}, {"R": 20.0, "L": 0.01}, {"R": 50.0, "L": 5e-3}]
-    found = frame_of(coil({"starting_points": starts}), [2, 1, 0])
-    assert found["value.L"].to_numpy() == pytest.approx(np.full(3, 0.1007), abs=1e-4)
-    assert found["finer"].tolist() == [0, 1, 1]
-    assert (found["accuracy"] == "passed").all()
 
 
 def test_a_simulation_that_is_wrong_for_all(tmp_path: Path) -> None:

@@ -83,12 +83,6 @@ def test_undetermined_estimates_are_left_out() -> None:
     assert found["mean"] == pytest.approx(frame["value.R"].drop(3).mean(), rel=1e-13)
 
 
-def test_without_a_truth_nothing_is_said_of_it() -> None:
-    summary = summarize(batch({"draw": range(10)}), {"other": 1.0})
-    assert not summary.has_truth
-    assert "coverage_p" not in summary.parameters
-
-
 # --- words
 
 
@@ -119,29 +113,6 @@ def test_bias_in_words() -> None:
     assert (row(summary, "R")["note"], row(summary, "L")["note"]) == ("", "biased")
     (first, *_) = summary_words(summary)
     assert first.startswith("L: biased by 0.00100 ± 0.00012 H (0.5 × the stated σ)")
-
-
-def test_a_difference_too_small_to_matter_is_left_out() -> None:
-    """A hundred thousand cases make everything significant; 2 % of a standard deviation is still nothing."""
-    frame = batch({"draw": range(100_000)}, spread=1.02)
-    summary = summarize(frame, TRUTH)
-    assert row(summary, "R")["ratio_p"] < 1e-9
-    assert summary_words(summary) == []
-
-
-def test_tables_that_differ() -> None:
-    """Between records of several machines a large spread is no proof of wrong intervals, and says so."""
-    frame = batch({"table": [f"machine {k}" for k in range(40)]}, spread=5.0)
-    words = " ".join(summary_words(summarize(frame)))
-    assert "across data files" in words
-
-
-def test_few_cases() -> None:
-    one, seven = (summarize(batch({"draw": range(count)}), TRUTH) for count in (1, 7))
-    assert np.isnan(row(one, "R")["spread"])
-    assert summary_words(one) == ["One estimate has no spread: the stated σ is not checked."]
-    # 1/sqrt(2·6)
-    assert summary_words(seven)[0] == "7 cases are few: their spread is uncertain by 29 %."
 
 
 # --- failures
@@ -236,15 +207,6 @@ def test_groups_of_a_sweep() -> None:
     assert "L depends" not in words
 
 
-def test_a_group_in_which_all_failed_is_there() -> None:
-    frame = batch({"free": np.repeat(["R", "R L"], 3), "draw": np.tile(np.arange(3), 2)})
-    summary = summarize(fail(frame, [3, 4, 5], ["no"] * 3))
-    assert summary.groups[["free", "cases", "failed"]].drop_duplicates().to_numpy().tolist() == [
-        ["R", 3, 0],
-        ["R L", 0, 3],
-    ]
-
-
 def test_settings_of_many_levels_are_no_groups() -> None:
     count = MAX_LEVELS + 1
     frame = batch({"set.M": np.linspace(0, 1, count)})
@@ -253,14 +215,6 @@ def test_settings_of_many_levels_are_no_groups() -> None:
     assert summary.groups.empty
     assert summary_words(summary)[0].startswith("R varies ")
     assert summary_words(summary)[0].endswith("over the settings.")
-
-
-def test_a_parameter_that_is_held_in_some_cases() -> None:
-    frame = batch({"free": ["R", "R", "R L", "R L"]})
-    frame.loc[:1, ["value.L", "std.L"]] = np.nan
-    summary = summarize(frame, TRUTH)
-    assert row(summary, "L")["cases"] == 2
-    assert row(summary, "L")["undetermined"] == 0
 
 
 def test_one_estimate_a_data_set() -> None:

@@ -22,7 +22,6 @@ from tests.support.integrating import (
     FAIL_AT,
     LINEAR,
     STAIRS,
-    STEP_EVENT_AT,
     TERMINATE_AT,
     TRIANGLE,
     VAN_DER_POL,
@@ -32,7 +31,6 @@ from tests.support.integrating import (
     Trial,
     X,
     every_integrator,
-    van_der_pol,
 )
 
 
@@ -72,31 +70,6 @@ def test_time_events_are_hit_exactly(make: Maker, settings: dict[str, Any]) -> N
 
 
 @every_integrator
-def test_step_event(make: Maker, settings: dict[str, Any]) -> None:
-    trial = make(STAIRS, [0.0], [9.0, 9.0, 9.0, 10.0], **settings | {"step_size": 0.01})
-    trial.memory.state.how.limit = 1.0
-    trial.numbers[STEP_EVENT_AT] = 0.505
-    trial.begin().trajectory(np.linspace(0.003, 1.0, 300))
-    assert trial.numbers[COUNT] == 1
-    assert 0.505 <= trial.numbers[EVENT_TIME] < 0.52
-    assert trial.numbers[BACKWARDS] == 0
-
-
-@every_integrator
-def test_event_mode_from_outside_in_the_middle_of_a_step(make: Maker, settings: dict[str, Any]) -> None:
-    trial = make(VAN_DER_POL, [2.0, 0.0], [1.0], **settings)
-    trial.memory.state.how.limit = 2.0
-    trial.begin().advance(0.3)
-    trial.call("enter_events", 0.3)
-    trial.call("enter_events", 0.3)
-    assert trial.numbers[COUNT] == 1
-    trial.numbers[X : X + 2] = 1.0, 0.5
-    trial.call("leave_events", 0.3)
-    exact = van_der_pol([1.2], 1.0, (1.0, 0.5))
-    assert trial.advance(1.5) == pytest.approx(exact[0], abs=1e-7)
-
-
-@every_integrator
 @pytest.mark.parametrize(
     ("what", "setting", "expected", "status"),
     [
@@ -121,30 +94,6 @@ def test_failures(
         trial.advance(2.0)
     assert failure.value.args[:2] == (expected, status)
     assert trial.describe(("h", "v"))
-
-
-@every_integrator
-def test_a_solution_that_ends_in_finite_time(make: Maker, settings: dict[str, Any]) -> None:
-    trial = make(VAN_DER_POL, [3.0, 1.0], [-5.0], **settings | {"tolerance": 1e-6}).begin()
-    with pytest.raises(Failure) as failure:
-        trial.advance(1.0)
-    reasons = {"rk4": codes.STATE_NOT_FINITE, "rk45": codes.STEP_TOO_SMALL, "cvode": codes.STATE_NOT_FINITE}
-    assert failure.value.args[0] == reasons[settings["integrator"]]
-    if settings["integrator"] == "rk45":
-        assert "state speed, step" in trial.describe(("place", "speed"))
-
-
-def test_steps_between_two_times_are_limited(make: Maker) -> None:
-    """So many do, as the integrator counts them, and one less does not."""
-    free = make(VAN_DER_POL, [2.0, 0.0], [1.0], integrator="rk45").begin()
-    free.advance(5.0)
-    needed = free.memory.state.n_steps
-    make(VAN_DER_POL, [2.0, 0.0], [1.0], integrator="rk45", most_steps=needed).begin().advance(5.0)
-    short = make(VAN_DER_POL, [2.0, 0.0], [1.0], integrator="rk45", most_steps=needed - 1).begin()
-    with pytest.raises(Failure) as failure:
-        short.advance(5.0)
-    assert failure.value.args[0] == codes.TOO_MANY_STEPS
-    assert "max_solver_steps" in short.describe()
 
 
 def test_every_failure_has_words() -> None:

@@ -18,20 +18,13 @@ from tests.support.closed_forms import coil_response
 from tests.support.experiments import record
 from tests.support.hybrid import hybrid_fmu
 from tests.support.integrating import (
-    BACKWARDS,
     BROKEN_JACOBIAN,
-    CALLS,
     COUNT,
     DECAY,
-    EVENT_TIME,
-    INTEGRATORS,
     LINEAR,
-    NOMINAL,
-    SWITCH,
     VAN_DER_POL,
     Maker,
     U,
-    X,
     every_integrator,
     van_der_pol,
 )
@@ -68,48 +61,12 @@ def test_adaptive_method_against_dop853(make: Maker) -> None:
     assert errors[1] < 1e-6
 
 
-@pytest.mark.parametrize("settings", INTEGRATORS[1:], ids=lambda settings: settings["integrator"])
-def test_steps_beyond_the_sample_spare_calls_and_change_nothing(make: Maker, settings: dict[str, Any]) -> None:
-    times = np.linspace(0.001, 2.0, 1000)
-    got, calls = [], []
-    for limit in (-np.inf, 2.0):
-        trial = make(VAN_DER_POL, [2.0, 0.0], [1.0], **settings)
-        trial.memory.state.how.limit = limit
-        got.append(trial.begin().trajectory(times))
-        calls.append(trial.numbers[CALLS])
-        assert trial.numbers[BACKWARDS] == 0
-    assert np.abs(got[0] - got[1]).max() < 1e-7
-    assert calls[1] < calls[0] / 3
-
-
 STIFF_TIMES = [100.0, 700.0, 1000.0, 2000.0]
 
 
 @pytest.fixture(scope="module")
 def stiff() -> NDArray[np.float64]:
     return van_der_pol(STIFF_TIMES, 1000.0)
-
-
-@pytest.mark.parametrize("integrator", ["rk45", "cvode"])
-def test_tolerances_follow_the_nominal_values(make: Maker, integrator: str) -> None:
-    """States and nominal values a thousand times as large, from an event on: as many steps, the same relative error."""
-    trial = make(LINEAR, [1.0], [1.0], n_inputs=1, integrator=integrator, tolerance=1e-5)
-    steps, states = [], []
-    for k, scale in enumerate((1.0, 1e3, 1e-3)):
-        trial.numbers[NOMINAL] = scale
-        trial.memory.curves[0, 1] = scale
-        trial.memory.state.origin = 5.0 * k
-        if k == 0:
-            trial.begin()
-        else:
-            trial.call("enter_events", 5.0 * k)
-            trial.numbers[X], trial.memory.state.next_step = scale, 0.0
-            trial.call("leave_events", 5.0 * k)
-        before = trial.memory.state.n_steps
-        states.append(trial.advance(5.0 * k + 5.0)[0] / scale)
-        steps.append(trial.memory.state.n_steps - before)
-    assert steps[0] == steps[1] == steps[2]
-    assert states == pytest.approx([states[0]] * 3, rel=1e-8)
 
 
 @pytest.mark.slow
@@ -153,50 +110,6 @@ def test_inputs_equal_their_closed_form(make: Maker, settings: dict[str, Any], d
         assert trial.advance(until)[0] == pytest.approx(x, abs=3e-9)
         assert trial.numbers[U : U + 2] == pytest.approx(u @ (until - t) ** np.arange(4.0), abs=1e-14)
         t = until
-
-
-@every_integrator
-def test_inputs_without_kinks_do_not_restart_the_integrator(make: Maker, settings: dict[str, Any]) -> None:
-    trial = make(LINEAR, [0.0], [1.0], n_inputs=1, **settings)
-    calls = []
-    for jump in (0.0, 1e-3):
-        trial.begin()
-        before = trial.numbers[CALLS]
-        for k in range(50):
-            t = 0.02 * k
-            trial.memory.state.origin = t
-            trial.memory.curves[0, :2] = np.sin(t) + jump * (-1) ** k, (np.sin(t + 0.02) - np.sin(t)) / 0.02
-            trial.advance(t + 0.02)
-        calls.append(trial.numbers[CALLS] - before)
-    assert calls[0] + 49 <= calls[1]
-
-
-@every_integrator
-def test_straight_inputs_give_the_same_bits_as_curved_ones(make: Maker, settings: dict[str, Any]) -> None:
-    found = []
-    for straight in (False, True):
-        trial = make(LINEAR, [0.3], [1.0], n_inputs=1, straight=straight, **settings).begin()
-        states = []
-        for k in range(20):
-            trial.memory.state.origin = 0.1 * k
-            trial.memory.curves[0, :2] = np.sin(0.1 * k), (np.sin(0.1 * k + 0.1) - np.sin(0.1 * k)) / 0.1
-            states.append(trial.advance(0.1 * (k + 1)))
-        found.append(np.array(states))
-    assert found[0].tobytes() == found[1].tobytes()
-
-
-def test_no_states_but_an_input_that_switches(make: Maker) -> None:
-    for settings in INTEGRATORS:
-        trial = make(SWITCH, [], [0.37], n_inputs=1, **settings)
-        trial.memory.curves[0, :3] = 0.0, 0.5, 0.5
-        trial.begin()
-        trial.advance(1.0)
-        crossing = np.sqrt(0.25 + 2 * 0.37) - 0.5
-        assert trial.numbers[[COUNT, EVENT_TIME]] == pytest.approx([1, crossing], abs=1e-9)
-        trial.memory.state.origin = 1.0
-        trial.memory.curves[0] = 0.0  # jumps back across the threshold
-        trial.advance(1.5)
-        assert trial.numbers[[COUNT, EVENT_TIME]].tolist() == [2, 1.0]
 
 
 @every_integrator

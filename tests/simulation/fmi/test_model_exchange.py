@@ -18,7 +18,6 @@ from tests.support.compiled import ProbeMaker
 from tests.support.experiments import record
 from tests.support.exported import export_text
 from tests.support.paths import FMUS
-from tests.support.stepping import LAG, stepping_fmu
 
 COIL = FMUS / "Coil" / "Coil.fmu"
 Array = NDArray[np.float64]
@@ -247,25 +246,3 @@ def test_wrong_connectors_are_one_sentence(connectors: dict[str, list[str]], sen
             connections=[("one.i", "other.u", 1.0, 0.0)],
             connectors=ports,
         )
-
-
-K = 100.0
-
-
-@pytest.fixture(scope="module")
-def lag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return stepping_fmu(tmp_path_factory.mktemp("lag"), LAG, exchange=True)
-
-
-@pytest.mark.parametrize("step", [1e-3, 1e-2, 1e-1], ids=["fast", "like", "slow"])
-@pytest.mark.parametrize("size", [1e-15, 1e-6, 1e9])
-@pytest.mark.parametrize(("integrator", "error"), [("rk45", 1e-4), ("cvode", 1e-3)])
-def test_states_of_every_size(lag: Path, integrator: str, error: float, size: float, step: float) -> None:
-    """x' = u - k x from zero against its closed form, u held over a tenth, one and ten time constants."""
-    u = size * np.random.default_rng(1).choice([-1.0, 1.0], 50)
-    x = np.zeros(50)
-    for i in range(49):
-        x[i + 1] = u[i] / K + (x[i] - u[i] / K) * np.exp(-K * step)
-    experiment = record(step * np.arange(50), {"u": u}, ["x"])
-    simulator = Simulator(lag, experiment, ["k"], interface="model-exchange", integrator=integrator)
-    np.testing.assert_allclose(simulator([K])[:, 0], x, rtol=0.0, atol=error * np.abs(x).max())

@@ -248,18 +248,6 @@ def test_whole_rows_go_through_as_each_sample_does(probe: ProbeMaker, model: str
     assert (found[0][1][1][0] >= 0) == (model == "failing")
 
 
-def test_what_is_not_whole_rows_does_not_go_by_rows(runs: dict[str, Planned]) -> None:
-    coil = FMU(FMUS / "Coil" / "Coil.fmu")
-    for simulation, versions in runs.values():  # coupled; in substeps; by model exchange
-        kinds = ["model-exchange" if each else "co-simulation" for each in simulation.plan.integrations]
-        instances = [Instance(coil, kind, f"x{i}") for i, kind in enumerate(kinds)]
-        assert not SimulationLoop(
-            simulation.plan, simulation.grid, instances, np.zeros(len(versions), np.intp)
-        )._plan.by_rows
-        for instance in instances:
-            instance.close()
-
-
 def test_messages_are_formatted_and_bounded() -> None:
     log, text = library.core().Log(), ctypes.c_char_p
     told = ctypes.cast(library.core().log_open(ctypes.byref(log)), ctypes.POINTER(ctypes.c_void_p))

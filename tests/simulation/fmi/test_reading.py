@@ -194,39 +194,6 @@ def test_defaults_and_what_they_exclude(
             assert as_read(read_description(path)) == theirs
 
 
-def test_types_and_capabilities(tmp_path: Path) -> None:
-    """What FMPy does not say, or not in one way for both versions."""
-    found = read_description(write_fmu(tmp_path / "a.fmu", TYPED_2))
-    assert {v.name: (v.type, v.wire) for v in found.variables.values()} == {
-        "T": ("Real", "Float64"),
-        "der(T)": ("Real", "Float64"),
-        "gear": ("Integer", "Int32"),
-        "on": ("Boolean", "Boolean"),
-        "word": ("String", "String"),
-    }
-    assert [v.name for v in found.variables.values() if v.is_state] == ["T"]
-    assert found.units["K"].offset == 2.0
-    slave, model = found.interfaces["co-simulation"], found.interfaces["model-exchange"]
-    assert (slave.declared_repeatable, slave.interpolates_inputs, slave.variable_step) == (True, True, False)
-    assert (model.declared_repeatable, model.completed_step) == (False, False)
-    found = read_description(write_fmu(tmp_path / "b.fmu", TYPED_3))
-    assert {v.wire for v in found.variables.values()} == {"Float64", "UInt64", "Int64", "String", "Binary", "Clock"}
-    assert [v.name for v in found.variables.values() if v.is_state] == ["x[1]", "x[2]"]
-    slave, model = found.interfaces["co-simulation"], found.interfaces["model-exchange"]
-    assert (slave.event_mode, slave.variable_step, slave.once_per_process) == (True, True, False)
-    assert (model.completed_step, model.once_per_process) == (False, True)
-
-
-def test_bounds_of_unsigned_types_and_starts_of_arrays_of_strings(tmp_path: Path) -> None:
-    """FMPy leaves out the first, and all starts of the second but one."""
-    more = """<UInt8 name="byte" valueReference="90" causality="parameter" min="1" max="9" start="2"/>
-    <String name="words" valueReference="91" causality="parameter"><Dimension start="2"/><Start value="a b"/><Start value="c"/></String>"""
-    path = write_fmu(tmp_path / "a.fmu", TYPED_3.replace("</ModelVariables>", f"{more}</ModelVariables>"))
-    variables = read_description(path).variables
-    assert (variables["byte"].min, variables["byte"].max) == (1, 9)
-    assert [variables[name].start for name in ("words[1]", "words[2]")] == ["a b", "c"]
-
-
 @pytest.mark.parametrize(
     ("text", "variable", "name"),
     [

@@ -82,12 +82,6 @@ def test_threads_are_for_fmus_that_are_known_to_bear_them(
     assert [in_threads(description, kind) for kind in KINDS] == [expected] * 2
 
 
-@pytest.mark.parametrize("said", [{}, OPEN_MODELICA], ids=["nothing", "OpenModelica"])
-@pytest.mark.parametrize("kind", first(1, KINDS))
-def test_an_fmu_that_may_not_bear_threads_has_none(folder: Path, said: dict[str, Any], kind: str) -> None:
-    check(Simulator(misbehaving_fmu(folder, token="alone", **said), RECORD, NAMES, interface=kind))
-
-
 def test_the_fmu_of_these_tests_does_not_bear_threads(folder: Path) -> None:
     """With the word of an FMU that it does, it fails: what these tests show is not for nothing."""
     assert threads() == 4
@@ -110,15 +104,6 @@ def test_no_instance_is_freed_while_another_lives(folder: Path) -> None:
     del second
     gc.collect()
     check(first)
-
-
-def test_a_fatal_end_of_one_is_not_waited_for(folder: Path) -> None:
-    """An instance that may not be touched any more does not keep others from being freed."""
-    fmu = misbehaving_fmu(folder, token="alone after a fatal one")
-    simulator = Simulator(fmu, RECORD, NAMES)
-    assert any(simulator.many(thetas(Mode.RETURN_FATAL)).errors)
-    simulator.close()
-    check(Simulator(fmu, RECORD, NAMES, interface="model-exchange"))
 
 
 @pytest.mark.slow

@@ -71,15 +71,6 @@ def test_only_the_starts_and_the_annotation_change(tmp_path: Path, encoding: str
     assert applied(tmp_path, changed) == {"a": 0.1 + 0.2, "on": True, 'b & "c"': -2e-30, "n": 3, "x[2]": 5.0}
 
 
-def test_the_start_of_an_alias_is_where_the_other_has_it(tmp_path: Path) -> None:
-    """Of FMI 2.0 variables with one reference only one has a start (FMI 2.0.4, section 2.2.7)."""
-    changed = with_starts(FMI_2.encode(), {"alias": 2.0})
-    assert changed.decode() == replaced(
-        FMI_2, ("'4.0'", "'2.0'"), ("<ModelVariables>", note_2('"alias"') + "<ModelVariables>")
-    )
-    assert applied(tmp_path, changed) == {"alias": 2.0}
-
-
 def test_arrays_are_changed_element_by_element(tmp_path: Path) -> None:
     values = {"R": 5.5, "A[2,1]": 40.0, "A[1,3]": 30.0, "B[2]": 0.5, "k": 7.0}
     changed = with_starts(FMI_3.encode(), values).decode()

@@ -18,15 +18,10 @@ from fmuid import FMU, InputError
 from fmuid.models import CheckedArchive, read_ssv, ssv
 from fmuid.models import archive as zipped
 from fmuid.models.archive import unpacked
-from fmuid.runs import apply_result
 from tests.support.fmu_texts import FMI2, FMI3, write_fmu
 from tests.support.packing import pack, refusal
-from tests.support.paths import FMUS
-from tests.support.results import result
 
 pytestmark = pytest.mark.usefixtures("cache")
-
-COIL = FMUS / "Coil" / "Coil.fmu"
 
 
 # --- names ------------------------------------------------------------------------------
@@ -56,25 +51,6 @@ def test_names_that_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     assert why in refusal(pack(tmp_path / "a.fmu", ("modelDescription.xml", b""), (name, b"evil")))
 
 
-def test_backslashes_are_separators(tmp_path: Path) -> None:
-    """Some tools on Windows pack so; what is applied to such an FMU is packed with slashes."""
-    with zipfile.ZipFile(COIL) as coil:
-        entries = [(name.replace("/", "\\"), coil.read(name)) for name in coil.namelist()]
-    path = pack(tmp_path / "a.fmu", ("resources\\", b""), *entries)
-    fmu = FMU(path)
-    assert fmu.platforms == FMU(COIL).platforms
-    assert fmu.library(fmu.description.interfaces["co-simulation"].identifier).is_file()
-    assert sorted(each.name for each in fmu.directory.iterdir()) == [
-        "binaries",
-        "modelDescription.xml",
-        "resources",
-        "sources",
-    ]
-    new = tmp_path / "new.fmu"
-    apply_result(result(tmp_path, {"R": (4.25, 0.01)}), path, new)
-    assert "binaries/linux64" in {name.rpartition("/")[0] for name in zipfile.ZipFile(new).namelist()}
-
-
 @pytest.mark.parametrize(
     "names",
     [
@@ -92,12 +68,6 @@ def test_names_of_one_file_are_refused(tmp_path: Path, monkeypatch: pytest.Monke
         warnings.simplefilter("ignore")  # of zipfile, to whoever writes that
         path = pack(tmp_path / "a.fmu", (names[0], b"1"), (names[1], b"2"))
     assert "are one file" in refusal(path)
-
-
-def test_a_file_packed_twice_is_the_same(tmp_path: Path) -> None:
-    with pytest.warns(UserWarning, match="Duplicate"):
-        path = pack(tmp_path / "a.fmu", ("twice", b"1"), ("twice", b"1"))
-    assert (unpacked(path, "digest") / "twice").read_bytes() == b"1"
 
 
 @pytest.mark.parametrize("names", [("a", "a/b"), ("a/b", "a"), ("a", "a/")])
@@ -183,16 +153,6 @@ def test_spoilt_directories(tmp_path: Path, entry: int, place: int, word: str, w
 @pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
 def test_other_compression(tmp_path: Path, method: int) -> None:
     assert "neither stored nor deflated" in refusal(pack(tmp_path / "a.fmu", ("a", b"x" * 100), method=method))
-
-
-@pytest.mark.parametrize(("place", "length"), [(40, 10), (31, 8)])
-def test_damaged_content(tmp_path: Path, place: int, length: int) -> None:
-    """A broken stream; a content that is not what its checksum says."""
-    path = pack(tmp_path / "a.fmu", ("a", bytes(range(256)) * 10))
-    content = bytearray(path.read_bytes())
-    content[place : place + length] = bytes(length)
-    path.write_bytes(content)
-    assert "damaged archive" in refusal(path)
 
 
 def test_an_fmu_for_scheduled_execution_alone_is_refused(tmp_path: Path) -> None:
