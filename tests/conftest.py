@@ -1,7 +1,6 @@
 """What several tests share: the built FMUs and a probe FMU that misbehaves on demand."""
 
 # ruff: noqa: E501  # the model description of the probe reads best one variable a line
-from __future__ import annotations
 
 import os
 import signal

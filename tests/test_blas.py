@@ -1,7 +1,5 @@
 """Linear algebra has one thread wherever fmuid computes, and the process gets its threads back."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path

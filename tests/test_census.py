@@ -1,7 +1,5 @@
 """How large the house is: lines, fields, arguments, numbers that are constants of a module. Limits only go down."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """Values to JSON and back: bit for bit, and one sentence for what does not fit."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Damaged files of fmuid's own: what reads them gives a value or one sentence."""
 
-from __future__ import annotations
-
 import io
 import json
 import shutil

@@ -1,7 +1,5 @@
 """The pages in docs: what they show can be read, what they point at is there, and what points at them is right."""
 
-from __future__ import annotations
-
 import ast
 import math
 import re

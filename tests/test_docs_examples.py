@@ -1,7 +1,5 @@
 """Python, commands and output on the pages of docs; the page of messages."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import shutil

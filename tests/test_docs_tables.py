@@ -1,7 +1,5 @@
 """Each row of docs/tables.md: such a table is made, and read as the row says."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any

@@ -3,8 +3,6 @@
 Rows about FMUs that do not run and about runs that end early are tested with the commands.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path

@@ -3,8 +3,6 @@
 They may take `fmuid`, `np` and `pd` for granted, and run in a folder of their own.
 """
 
-from __future__ import annotations
-
 import doctest
 import inspect
 from pathlib import Path

@@ -4,8 +4,6 @@ Hypothesis draws what is spoiled and how, the same every time. With ``FMUID_FUZZ
 cases, others each time.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from random import Random

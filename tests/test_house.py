@@ -1,7 +1,5 @@
 """The habits of the house: what may import what, what is documented, what is imported when."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import inspect

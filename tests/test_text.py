@@ -1,7 +1,5 @@
 """Words, units and tables for people."""
 
-from __future__ import annotations
-
 import csv
 import math
 from pathlib import Path

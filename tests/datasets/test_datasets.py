@@ -1,7 +1,5 @@
 """The records that come with the package: what they are made from is in them, and they are what their script makes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

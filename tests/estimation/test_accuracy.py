@@ -1,7 +1,5 @@
 """What an error of the simulation does to estimates: against fits to data from which it is taken away."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

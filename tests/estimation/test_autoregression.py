@@ -1,7 +1,5 @@
 """Autoregressive and low-frequency noise: closed forms, scipy, Whittle's information, seeded draws."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A cache: what problems share changes no estimate that counts, whichever comes first, and spares simulations."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Coverage of intervals, and rejections by tests, under colored noise: the study of experiments/coverage."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Errors that return with each cycle of an excitation: periods of inputs, likelihoods and Gram matrices, coverage."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

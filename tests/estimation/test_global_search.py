@@ -1,7 +1,5 @@
 """Global search: against dense grids and closed forms, on costs with known secondary optima, and through failures."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Estimates of linear models: closed forms, filters against scipy's, biases against their own formulas."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """Forms in which noise is given: each against the closed form of a linear model."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Covariance under colored noise, against dense matrices, closed forms, finite differences and seeded draws."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

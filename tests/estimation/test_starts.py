@@ -1,7 +1,5 @@
 """Numerics of better starts: the weak form against closed forms, and the noise that data show."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Campaigns of calls: what is shared between records is what each would give by itself, and pages show the counts."""
 
-from __future__ import annotations
-
 import re
 from decimal import Context, Decimal
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The model of the cascaded tanks against its equations, integrated by scipy."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

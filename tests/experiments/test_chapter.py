@@ -1,7 +1,5 @@
 """What the chapter's estimates of the induction machine show, and that the page says so."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """The study of the closed-loop bias (docs/method/covariance.md): its loop, its prediction, and what the page says."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

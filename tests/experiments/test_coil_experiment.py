@@ -1,7 +1,5 @@
 """The coil of docs/method/coil.md: the data, table 1.1, and what the draws must show."""
 
-from __future__ import annotations
-
 import json
 import math
 

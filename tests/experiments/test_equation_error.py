@@ -1,7 +1,5 @@
 """The page of the coil by its equation: its table is what the committed draws say, and these are what comes out."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

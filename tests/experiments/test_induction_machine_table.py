@@ -1,7 +1,5 @@
 """The script that makes the induction machine's table: its machine, its shaft, its straight lines, and the table."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 import pandas as pd

@@ -1,7 +1,5 @@
 """The machine in its windings that makes the tables of machine faults, and what is found in some of them."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

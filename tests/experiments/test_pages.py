@@ -1,7 +1,5 @@
 """Pages of the experiments show what their committed tables say."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The two studies, as their users run them."""
 
-from __future__ import annotations
-
 import math
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Exports that several tests run."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Binaries of every platform in an exported FMU."""
 
-from __future__ import annotations
-
 import re
 import struct
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The exporter: what it refuses and how, and what the FMUs are made of."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

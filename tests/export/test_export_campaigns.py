@@ -1,7 +1,5 @@
 """What exported C does, under sanitizers."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.support.sanitizers import assert_nothing_found, needs_sanitizers

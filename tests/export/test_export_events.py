@@ -1,7 +1,5 @@
 """If-expressions in exported models: relations make events, located in co-simulation, frozen in between."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """floor, ceil and mod in exported models: whole numbers that only events change."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

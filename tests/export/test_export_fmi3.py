@@ -1,7 +1,5 @@
 """The exporter's FMI 3.0: the twin of its FMI 2.0, through FMPy's low-level calls."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Powers and linear algebraic loops in exported models, against closed forms, linear algebra and scipy."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """Models exported with sensitivity outputs: the derivatives of the outputs with respect to parameters."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Modelica that the exporter does not take, and what it says."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Instances of the shipped FMUs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

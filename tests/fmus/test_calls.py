@@ -1,7 +1,5 @@
 """What the shipped FMUs answer to the calls of FMI: start values, reset, saved states, derivatives, refusals."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

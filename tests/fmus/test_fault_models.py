@@ -3,8 +3,6 @@
 Their equations as such are held in tests/fmus/test_models.py.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -4,8 +4,6 @@
 FMUs run through FMPy's low-level calls (its `simulate_fmu` does not apply inputs inside an integrator).
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -6,8 +6,6 @@
 NAME: the beginning of the names of runs; default: all.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import sys

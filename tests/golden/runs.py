@@ -3,8 +3,6 @@
 A run returns its numbers by name. The first part of a name says what may differ on another machine (`TOLERANCES`).
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import os

@@ -1,7 +1,5 @@
 """Whole runs give the numbers that they gave, within what another machine may make of them."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.golden.numbers import differences, load

@@ -1,7 +1,5 @@
 """Searches through simulations whose error matters; the data come from closed forms and matrix exponentials."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Comparisons of results: criteria and likelihood ratios against chance, white and coloured."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Maps of the cost: against direct evaluation, and on linear problems against the exact confidence region."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Parameters that take few values: each combination is searched with, the best is kept, and a study says them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

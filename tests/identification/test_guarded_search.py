@@ -1,7 +1,5 @@
 """Starts that are far away, or lead to a bad fit: what is tried then, and what is said of it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The verdict: each reason from the check that gives it."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """States that no output tells, from those that outputs tell and the model's equations."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

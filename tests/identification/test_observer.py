@@ -1,7 +1,5 @@
 """Observers that keep the simulation of a plant that integrates with its record."""
 
-from __future__ import annotations
-
 import tomllib
 from functools import cache
 from pathlib import Path

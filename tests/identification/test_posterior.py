@@ -1,7 +1,5 @@
 """The sampled posterior: closed forms within the error that the effective size allows, and what cannot be sampled."""
 
-from __future__ import annotations
-
 import math
 import sys
 

@@ -1,7 +1,5 @@
 """Predictions against closed forms: errors, and bands by the noise, the estimates and what is estimated again."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Profile likelihood: closed forms of linear problems, brute force elsewhere, and what has no end."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

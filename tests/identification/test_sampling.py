@@ -1,7 +1,5 @@
 """Runs of the sampler: its density, batches, seeds, interruptions, refusals, diagnostics of chains."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

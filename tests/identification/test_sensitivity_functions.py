@@ -1,7 +1,5 @@
 """Sensitivity functions and promised accuracy against closed forms and against what identifications give."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

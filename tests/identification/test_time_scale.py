@@ -1,7 +1,5 @@
 """Times that are taken for another unit: a record against the time constants of its model."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What is asked beyond the local covariance: done in order, put side by side, kept when interrupted."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 

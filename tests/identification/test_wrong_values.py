@@ -1,7 +1,5 @@
 """Values of a wrong kind given to functions: one sentence each, that says what is wanted."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from typing import Any

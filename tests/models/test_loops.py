@@ -1,7 +1,5 @@
 """Loops of direct feed-through against their solutions in closed form, in signals of every size; events in circles."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 from typing import Any

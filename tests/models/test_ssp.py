@@ -1,7 +1,6 @@
 """System structures: what an .ssp file says, flattened; what it says wrongly is one sentence."""
 
 # ruff: noqa: E501  # the table of wrong structures reads best one case a line
-from __future__ import annotations
 
 import zipfile
 from collections.abc import Mapping

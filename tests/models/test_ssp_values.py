@@ -1,7 +1,5 @@
 """Parameter bindings of system structures: which variable they set to what."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

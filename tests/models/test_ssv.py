@@ -1,7 +1,5 @@
 """SSV files: what is written is read by FMPy's schema-checked reader and by ours; what is wrong is one sentence."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Systems: order of the exchange, refusals; executors made once, freed by closing a system or with its last user."""
 
-from __future__ import annotations
-
 import gc
 import weakref
 

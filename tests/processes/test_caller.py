@@ -1,7 +1,5 @@
 """Functions called in an isolated process: their values and errors come back, and what ends the process is one call."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Messages between processes: any size, whoever is slow; who is gone or talks nonsense is told apart."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

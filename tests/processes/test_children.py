@@ -1,7 +1,5 @@
 """Processes of ours import what this one would, whatever lies in the current folder and in the environment."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Results carried out: the SSV file of the estimates, and copies of FMUs that start at them."""
 
-from __future__ import annotations
-
 import math
 import zipfile
 from pathlib import Path

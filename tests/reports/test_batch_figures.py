@@ -1,7 +1,5 @@
 """A batch in files, on the console and in charts: their data are what was computed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The report in a real browser, which can reach no host: it draws every figure, and nothing is amiss."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Charts of fits, residuals, optimization, estimates and uncertainty: their data are what was computed."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any

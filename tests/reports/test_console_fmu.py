@@ -1,7 +1,5 @@
 """What `fmuid info` tells of FMUs of both versions: facts read off small model descriptions, and how they are shown."""
 
-from __future__ import annotations
-
 import io
 import re
 import tomllib

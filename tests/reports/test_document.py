@@ -1,7 +1,5 @@
 """Documents: written and read back alike, shown by every renderer, damaged ones refused in one sentence."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

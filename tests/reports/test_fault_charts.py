@@ -1,7 +1,5 @@
 """Charts and lines of diagnosis and monitoring: what layers hold, and what the console says once."""
 
-from __future__ import annotations
-
 import io
 import json
 import math

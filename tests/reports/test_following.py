@@ -1,7 +1,5 @@
 """Monitoring in operation: what one run finds, whatever breaks it; alarms as lines, told to a command once each."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """Messages on comparisons and predictions, and the conditions that give them."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """What a notebook shows: tables as HTML, figures that carry their library once, short texts elsewhere."""
 
-from __future__ import annotations
-
 import json
 import pickle
 from collections.abc import Iterator

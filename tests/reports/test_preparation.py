@@ -1,7 +1,5 @@
 """What was done with a table first is written beside the results and drawn in the report, by its data."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 from typing import Any

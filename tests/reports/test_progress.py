@@ -1,7 +1,5 @@
 """Progress on standard error: live on a terminal, lines with --verbose, else nothing."""
 
-from __future__ import annotations
-
 import math
 import sys
 

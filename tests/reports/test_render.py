@@ -1,7 +1,5 @@
 """Charts on screen and in print: what Bokeh's library reads and what matplotlib paints is what the layers say."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

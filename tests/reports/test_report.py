@@ -1,7 +1,5 @@
 """The report: what it says of an identification, and that a browser runs nothing but its own scripts."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import hashlib

@@ -1,7 +1,5 @@
 """A run of a study from Python: what the command does, with the same numbers and files."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The line of a verdict: each reason has its words, whatever its parameters are called."""
 
-from __future__ import annotations
-
 import pytest
 
 from fmuid.estimation import Doubt, Reason, Verdict

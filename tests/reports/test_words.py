@@ -1,7 +1,5 @@
 """Messages on a result: identifiability, termination, starting points, numbers, solver check."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, replace
 from types import SimpleNamespace

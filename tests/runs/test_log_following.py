@@ -1,7 +1,5 @@
 """Following what a logger writes: every row once, whatever happens to its files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The one measure of fit: NRMSE in % and RMSE, over counted samples, against the closed form."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """FMUs in separate processes: misbehavior costs one simulation; all others equal those in this process."""
 
-from __future__ import annotations
-
 import gc
 import os
 import signal

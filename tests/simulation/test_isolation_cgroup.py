@@ -1,7 +1,5 @@
 """Control groups of processes that run FMUs: found, made, ended as a whole and removed; without them all goes on."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Limits of processes that run FMUs: time, memory, and resources that the system refuses."""
 
-from __future__ import annotations
-
 import errno
 import os
 import subprocess

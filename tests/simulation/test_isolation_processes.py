@@ -1,7 +1,5 @@
 """Processes that run FMUs: they end when they should, whoever ends them, and leave nothing behind."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import gc

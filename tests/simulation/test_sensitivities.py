@@ -1,7 +1,5 @@
 """Sensitivities integrated with the model: against closed forms and against differences of whole simulations."""
 
-from __future__ import annotations
-
 import zipfile
 from collections.abc import Callable
 from pathlib import Path

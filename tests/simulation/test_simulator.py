@@ -1,7 +1,5 @@
 """The core's loop: against closed forms, against itself in threads, and when an FMU fails."""
 
-from __future__ import annotations
-
 import logging
 import threading
 from pathlib import Path

@@ -1,7 +1,5 @@
 """States that are given: right-hand sides at measured states, and simulations that measurements correct."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

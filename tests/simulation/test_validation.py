@@ -1,7 +1,5 @@
 """`fmuid validate`: sound FMUs pass, and each fault is the failed check that it should be, even a crash or a hang."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import zipfile

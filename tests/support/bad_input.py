@@ -1,7 +1,5 @@
 """A study to be spoilt, and the one sentence that is expected of it."""
 
-from __future__ import annotations
-
 import re
 import zipfile
 from collections.abc import Callable

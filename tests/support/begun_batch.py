@@ -1,7 +1,5 @@
 """A folder as a batch that is under way leaves it."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from pathlib import Path

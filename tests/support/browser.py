@@ -1,7 +1,5 @@
 """A browser for tests: Chromium, where it is there with its driver."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager

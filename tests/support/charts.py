@@ -1,7 +1,5 @@
 """Charts as a test reads them: the data of layers, and the legend."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The model of probe/choices.c as an FMI 3.0 FMU, with parameters that take few values."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from tests.support.compiled import write_fmu

@@ -1,7 +1,5 @@
 """Closed forms and equations that several tests compare with."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Batches of the coil over small fleets of records."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -9,7 +7,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import pandas as pd
@@ -78,7 +76,7 @@ class Here:
             yield run_group(parcel, group, records)
 
     @contextlib.contextmanager
-    def __call__(self, scheduler: str | None, workers: int | None) -> Iterator[Here]:
+    def __call__(self, scheduler: str | None, workers: int | None) -> Iterator[Self]:
         assert scheduler is None
         assert workers is None
         yield self

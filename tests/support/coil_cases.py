@@ -1,7 +1,5 @@
 """A study of the coil whose cases are varied, and its current in closed form."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

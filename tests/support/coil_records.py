@@ -1,7 +1,5 @@
 """Records of a coil that warms up and fails."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A study of a coil, its table, and the command line that runs it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

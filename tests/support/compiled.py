@@ -1,7 +1,5 @@
 """C sources of tests as libraries, compiled once for all processes and runs, and as FMUs."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import subprocess

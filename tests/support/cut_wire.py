@@ -1,7 +1,5 @@
 """A wire between a browser and a workbench that can be cut and mended."""
 
-from __future__ import annotations
-
 import contextlib
 import socket
 import threading

@@ -1,7 +1,5 @@
 """Rows of tables and blocks of code on pages of docs."""
 
-from __future__ import annotations
-
 import re
 
 from tests.support.paths import ROOT

@@ -1,7 +1,5 @@
 """Tables of batches with drawn estimates."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Experiments by the variables of a model."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

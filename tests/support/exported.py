@@ -1,7 +1,5 @@
 """Models exported for this machine alone, which is quicker, and FMPy's low-level calls to their FMUs."""
 
-from __future__ import annotations
-
 import ctypes
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence

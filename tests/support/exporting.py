@@ -1,7 +1,5 @@
 """Exported FMUs and their members."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 import zipfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Equations of the fault models, of our own."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,6 @@
 """Model descriptions of FMUs of both versions without binaries, for what is told of an FMU without loading it."""
 
 # ruff: noqa: E501  # the model descriptions read best one variable a line
-from __future__ import annotations
 
 import zipfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Cases of the fuzz tests, and what must hold of every command whatever it is given."""
 
-from __future__ import annotations
-
 import contextlib
 import faulthandler
 import io

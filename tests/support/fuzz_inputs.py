@@ -1,7 +1,5 @@
 """What the fuzz tests spoil: a study of each kind with its files, and tables that are wrong already."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import tomllib

@@ -1,7 +1,5 @@
 """Ways to spoil studies, XML and bytes, drawn from a random generator."""
 
-from __future__ import annotations
-
 import copy
 import datetime
 import io

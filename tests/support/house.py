@@ -1,7 +1,5 @@
 """The files of the package, each parsed once."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from functools import cache

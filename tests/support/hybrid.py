@@ -1,7 +1,5 @@
 """The models of probe/hybrid.c as whole FMUs, for the tests of what runs them through the master loop."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from tests.support.compiled import real, write_fmu

@@ -1,10 +1,8 @@
 """Integrators over the hybrid probes."""
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import pytest
@@ -76,7 +74,7 @@ class Trial:
         integration = Integration(inputs=inputs, input_starts=np.zeros(n_inputs), **settings)
         self.memory = Integrator(instance, integration, straight=straight)
 
-    def begin(self, t: float = 0.0) -> Trial:
+    def begin(self, t: float = 0.0) -> Self:
         self.library.rewind_to_event_mode(self.handle)
         self.numbers[X : X + len(self.start)] = self.start
         self.call("begin", t)

@@ -1,7 +1,5 @@
 """Commands as processes that are interrupted."""
 
-from __future__ import annotations
-
 import os
 import signal
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """What the tests of isolation share: the record of a first-order lag, thetas of which some misbehave, what is right."""
 
-from __future__ import annotations
-
 import contextlib
 import sys
 import time

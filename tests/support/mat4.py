@@ -1,7 +1,5 @@
 """MAT files of version 4, as simulators write their results."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Models in Modelica, and the same equations in Python."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 FRICTION = """model Friction "Mass under a force, with Coulomb's friction"

@@ -1,7 +1,5 @@
 """FMU archives with members of every kind."""
 
-from __future__ import annotations
-
 import zipfile
 from pathlib import Path
 

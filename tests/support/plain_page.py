@@ -1,7 +1,5 @@
 """A page of the workbench with one widget."""
 
-from __future__ import annotations
-
 from typing import Any
 
 

@@ -1,7 +1,5 @@
 """A machine that least squares solve exactly, with faults: what diagnosis, monitoring and design are tested on."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Linear problems whose posterior is known, sampled."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Problems without an FMU: fakes, a coil in closed form, noise."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """Parameters of a test of which only some run with the quick tests."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Readers that never return, for the reader process."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

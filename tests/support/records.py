@@ -1,7 +1,5 @@
 """Fits and searches made up for figures."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 

@@ -1,7 +1,5 @@
 """Results made up for tests."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

@@ -1,7 +1,5 @@
 """Runs of studies, as the commands have them, without a report unless it is asked for."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing, suppress
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Remarks as texts, each with its remedy."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A pytest plugin (``-p tests.support.sanitized_core``) that has tests run with the library named by SANITIZED_CORE."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A pytest plugin (``-p tests.support.sanitized_exports``): what is exported for Linux is compiled with sanitizers."""
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 

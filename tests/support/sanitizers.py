@@ -1,7 +1,5 @@
 """Tests run again with C that gcc has compiled with the sanitizers of addresses and of undefined behaviour."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Instances of the shipped FMUs, driven call by call beside their equations."""
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Callable, Iterator, Sequence
 

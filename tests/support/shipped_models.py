@@ -1,7 +1,5 @@
 """Equations of the shipped models, of our own."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """A criterion with many optima: the frequency of a sinusoid."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cache
 

@@ -1,7 +1,5 @@
 """An order to a process that runs FMUs which fails as code does whose memory an FMU has spoilt."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from fmuid.processes import shared_memory

@@ -1,7 +1,6 @@
 """Texts of small system structures, and the packages made of them."""
 
 # ruff: noqa: E501  # the model description reads best one variable a line
-from __future__ import annotations
 
 import zipfile
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """The models of probe/stepping.c as FMUs, whose co-simulation integrates in a plain way."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from tests.support.compiled import real, write_fmu

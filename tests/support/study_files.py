@@ -1,7 +1,5 @@
 """A study file that uses every word, and its folder."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 FULL = """

@@ -1,7 +1,5 @@
 """A tab without a browser: what its script says to a workbench through a websocket."""
 
-from __future__ import annotations
-
 import http.client
 import json
 import re

@@ -1,7 +1,5 @@
 """One record of a motor as test benches, loggers, spreadsheets and simulators write it."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import zipfile

@@ -1,7 +1,5 @@
 """A page that waits, in the loop of the server, until it is told to go on."""
 
-from __future__ import annotations
-
 import threading
 from typing import Any
 

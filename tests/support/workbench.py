@@ -1,7 +1,5 @@
 """Workbenches that tests open: served in a thread, or only what pages see of one."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager

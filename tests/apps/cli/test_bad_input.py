@@ -1,7 +1,5 @@
 """Wrong input, also of newcomers to `fmuid init`, ends in one sentence that names it, and exit code 2."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

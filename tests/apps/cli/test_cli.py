@@ -1,7 +1,5 @@
 """The command line from end to end, on coil and machine FMUs with tables of known truth."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """`fmuid compare` from end to end: likelihoods on the same data, errors on a common table."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

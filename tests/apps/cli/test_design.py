@@ -1,7 +1,5 @@
 """`fmuid design` and `fmuid simulate --sensitivities` from end to end."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

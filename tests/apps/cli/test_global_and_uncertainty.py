@@ -1,7 +1,5 @@
 """fmuid identify with a global search, profiles, posterior and losses."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pandas as pd

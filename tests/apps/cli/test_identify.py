@@ -1,7 +1,5 @@
 """fmuid identify: what it writes, says and returns."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

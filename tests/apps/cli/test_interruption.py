@@ -1,7 +1,5 @@
 """Ctrl-C and SIGTERM keep what there is, the first is answered, and nothing is lost to a full disk."""
 
-from __future__ import annotations
-
 import errno
 import os
 import signal

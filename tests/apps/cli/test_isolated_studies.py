@@ -1,7 +1,5 @@
 """Studies whose FMU misbehaves: the search goes round the bad points, and commands end with one sentence."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

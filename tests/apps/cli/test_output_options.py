@@ -1,7 +1,5 @@
 """Options for the output of commands, and shell completion."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

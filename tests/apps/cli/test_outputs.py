@@ -1,7 +1,5 @@
 """What commands find is written whatever is behind standard output and error: nobody, a full disk, nothing."""
 
-from __future__ import annotations
-
 import errno
 import io
 import os

@@ -1,7 +1,5 @@
 """`fmuid predict` from end to end, and what it says of wrong input."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from pathlib import Path

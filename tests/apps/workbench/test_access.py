@@ -1,7 +1,5 @@
 """Who is answered, over HTTP and without a browser: the user's own browser, and nobody else."""
 
-from __future__ import annotations
-
 import base64
 import contextlib
 import http.client

@@ -1,7 +1,5 @@
 """The workbench in a real browser, which reaches this machine alone: by hand, by keyboard, narrow and wide."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

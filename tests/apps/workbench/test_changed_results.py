@@ -1,7 +1,5 @@
 """Results in whose files a value has another type: a line says so on each page, and other results are shown."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable, Mapping

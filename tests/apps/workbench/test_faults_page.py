@@ -1,7 +1,5 @@
 """The page of a study's faults, without a browser: what it begins, and that it follows what is written meanwhile."""
 
-from __future__ import annotations
-
 import shutil
 import threading
 from pathlib import Path

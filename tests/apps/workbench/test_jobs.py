@@ -1,7 +1,5 @@
 """Commands of the workbench, and what is left of a closed tab: no words, no session, no process."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import os

@@ -1,7 +1,5 @@
 """A study that is begun on a page: what it shows of tables, and that the command it runs writes what is shown."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

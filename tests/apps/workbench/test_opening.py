@@ -1,7 +1,5 @@
 """How a browser is let in: no secret on a command line, a token that is valid once, a browser in the foreground."""
 
-from __future__ import annotations
-
 import html
 import http.client
 import re

@@ -1,7 +1,5 @@
 """What pages show of files, without a browser: the folder, results, batches; and commands that are followed."""
 
-from __future__ import annotations
-
 import base64
 import html
 import json

@@ -1,7 +1,5 @@
 """The page of a study without a browser: sliders are moved, callbacks run by hand."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Batches: the same rows however they are run, ended early or resumed; refusals of another batch."""
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import json

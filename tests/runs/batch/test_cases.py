@@ -1,7 +1,5 @@
 """Cases of a batch: what they are, that they depend on nothing but themselves, and what their rows say."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from pathlib import Path

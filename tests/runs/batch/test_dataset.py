@@ -1,7 +1,5 @@
 """The rows of a batch on disk: complete or absent, and the same in any order."""
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import os

@@ -1,7 +1,5 @@
 """Cases that fail, studies that are refused."""
 
-from __future__ import annotations
-
 import itertools
 import logging
 import math

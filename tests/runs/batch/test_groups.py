@@ -1,7 +1,5 @@
 """Cases in groups over workers, of which some end, and in processes of their own."""
 
-from __future__ import annotations
-
 import logging
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Batches in processes of their own: scripts, kills, clusters."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

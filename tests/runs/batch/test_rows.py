@@ -1,7 +1,5 @@
 """Rows of cases: estimates of a Monte Carlo, noise drawn, values held, checks of the solver."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from pathlib import Path

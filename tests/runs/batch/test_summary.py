@@ -1,7 +1,5 @@
 """Summaries of batches: numbers against plainly computed ones, words on made-up cases, groups, optima."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

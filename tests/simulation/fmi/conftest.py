@@ -1,7 +1,5 @@
 """Probes of the integrators, and a cache of unpacked FMUs that is empty."""
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Iterator
 from pathlib import Path

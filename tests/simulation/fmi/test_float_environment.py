@@ -1,7 +1,5 @@
 """What an FMU does to the floating-point environment ends with the call that did it ."""
 
-from __future__ import annotations
-
 import ctypes
 import platform
 import sys

@@ -1,7 +1,5 @@
 """FMU files that would harm or mislead are refused before anything is loaded; units, and what a description says."""
 
-from __future__ import annotations
-
 import re
 import zipfile
 from dataclasses import replace

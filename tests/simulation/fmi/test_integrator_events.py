@@ -1,7 +1,5 @@
 """Events of model exchange: state, time and step events, bounces; integrations that fail, and what is said."""
 
-from __future__ import annotations
-
 import sys
 from typing import Any
 

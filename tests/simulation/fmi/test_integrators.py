@@ -1,7 +1,5 @@
 """The integrators of model-exchange FMUs: against closed forms and scipy; inputs along their curves."""
 
-from __future__ import annotations
-
 import ctypes
 from pathlib import Path
 from typing import Any

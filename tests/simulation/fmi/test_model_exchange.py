@@ -1,7 +1,5 @@
 """Model exchange through the master loop: inputs of every kind against closed forms and scipy, couplings, rates."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The core in C: how it is built and loaded, what Python refuses before it sees it, what only it does."""
 
-from __future__ import annotations
-
 import ctypes
 import shutil
 import subprocess

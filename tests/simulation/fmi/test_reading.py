@@ -1,7 +1,6 @@
 """What is read of a model description, against what FMPy reads of it: our own FMUs, all defaults, all that there is."""
 
 # ruff: noqa: E501  # the model descriptions read best one variable a line
-from __future__ import annotations
 
 import itertools
 import re

@@ -1,7 +1,5 @@
 """FMUs whose instances cannot share one process are kept apart; those that disturb each other have new processes."""
 
-from __future__ import annotations
-
 import gc
 import logging
 import threading

@@ -1,7 +1,6 @@
 """Start values in the text of a model description: what is replaced, and that nothing else is."""
 
 # ruff: noqa: E501  # model descriptions read best one variable a line
-from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Archives that were made to do harm are refused in one sentence; what is unpacked is the user's alone."""
 
-from __future__ import annotations
-
 import os
 import re
 import stat

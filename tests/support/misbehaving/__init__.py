@@ -1,7 +1,5 @@
 """The misbehaving FMU of misbehaving.c: a first-order lag that takes its process down, or ties it up, when told to."""
 
-from __future__ import annotations
-
 from enum import IntEnum
 from pathlib import Path
 
