@@ -41,8 +41,7 @@ class LinearMessage(Message):
     )
     UNSETTLED = plain(
         "not converged: instruments still change after {rounds} rounds",
-        "of estimates by `fmuid.estimation.instrumental_variables`",
-        "Improve the initial guess.",
+        remedy="Improve the initial guess.",
     )
 
 

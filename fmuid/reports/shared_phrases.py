@@ -24,7 +24,7 @@ class IdentifiabilityMessage(Message, section="correlation"):
     HIDDEN = bad("{names} is not identifiable: its effect is below the solver error.", remedy=_FINER)
     COMBINATION = bad(
         "{names} are not identifiable; only {combinations} {verb}.",
-        "for example a ratio or a sum acts, each alone does not",
+        "for example a ratio or a sum",
         _FIX,
     )
     HIDDEN_COMBINATION = bad(
@@ -43,7 +43,7 @@ class IdentifiabilityMessage(Message, section="correlation"):
         "{names} are weakly identifiable (σ is {std} of scale); {combinations} {verb} identifiable.",
         remedy="Use the combination, or a longer or stronger excitation.",
     )
-    CHANGE = plain("No output changes along {change}.", "the direction that is not identifiable, as changes in %")
+    CHANGE = plain("No output changes along {change}.")
     PRIOR = doubt("{names} {verb} identifiable only through the prior.")
     CORRELATED = plain(
         "{one} and {other} are strongly correlated ({correlation}).",

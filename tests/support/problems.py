@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
 from fmuid.array_types import Floats
-from fmuid.data import Normal, Parameter
+from fmuid.data import Parameter
 from fmuid.errors import SimulationError
 from fmuid.estimation.problem import LeastSquares
 
@@ -61,18 +61,6 @@ def coil(theta: Floats, voltage: Floats) -> Floats:
     resistance, inductance = theta[0] + theta[2], theta[1] + 2.0 * tau * theta[2]
     decay = math.exp(-resistance * step / inductance)
     return np.asarray(lfilter([0.0, (1.0 - decay) / resistance], [1.0, -decay], voltage))
-
-
-def coil_problem(prior: bool) -> LeastSquares:
-    rng = np.random.default_rng(11)
-    voltage = np.repeat(rng.choice([-1.0, 1.0], 80), 15)
-    y = coil(np.array([4.0, 0.1, 1.0]), voltage) + 0.04 * rng.standard_normal(1200)
-    parameters = {
-        "R": Parameter(4.012, prior=Normal(4.012, 0.385) if prior else None),
-        "L": Parameter(0.0989, prior=Normal(0.0989, 0.00181) if prior else None),
-        "dR": Parameter(0.0, nominal=1.0),
-    }
-    return LeastSquares.from_function(lambda theta: coil(theta, voltage), y, parameters, times=1e-3 * np.arange(1200))
 
 
 def ar1(rng: np.random.Generator, share: float, count: int) -> Floats:

@@ -78,7 +78,7 @@ class HidingMessage(Message, section="hiding"):
     )
     HIDDEN = plain(
         "Could hide: {error} of {usual} moves {name} by {shift} σ; shows from {detectable}.",
-        "the largest shift by an error of usual size that the data would not show",
+        "the largest shift by an error of usual size that would not show",
     )
     UNTESTABLE = plain(
         "Not testable: {error}; {usual} moves {name} by {shift} σ.", "the parameters make up for this error"

@@ -51,12 +51,9 @@ FAILURES = "Reasons for missing estimates. Red: failed. Amber: not converged."
 class BatchMessage(Message):
     """Statistics of a batch."""
 
-    LEFT_OUT = plain(
-        "{done} of {total} cases converged; the statistics omit {others}.", "reasons of the other cases: `failures.csv`"
-    )
+    LEFT_OUT = plain("{done} of {total} cases converged; the statistics omit {others}.")
     BEST_OF_STARTS = plain(
         "Statistics use the best of all starting points for each of {sets} data sets.",
-        "cases with the same data are not independent",
     )
     FIT = plain(
         "Fit (NRMSE) of {output}: median {median}, minimum {least} (case {case}).",
@@ -66,29 +63,28 @@ class BatchMessage(Message):
     FEW = plain("{count} cases are few: their spread is uncertain by {share:.0f} %.", remedy="Add realizations.")
     STD_TOO_SMALL = doubt(
         "{name}: spread {spread} is {ratio:.3g} × the stated σ ({stated}) {among}.",
-        "from case to case: wrong noise, or a strongly nonlinear problem; from data file to data file: also different "
-        "machines or operating points",
+        "wrong noise, a strongly nonlinear problem, or different machines",
     )
     STD_TOO_LARGE = doubt(
         "{name}: spread {spread} is below the stated σ ({stated}).",
-        "the noise is smaller than stated, or the realizations lack a part of it",
+        "the noise is smaller than stated",
     )
     BIASED = doubt("{name}: biased by {size} ({share:.2g} × the stated σ).")
     COVERAGE = doubt("{name}: {held:.3g} % of the 95 % intervals contain the true value ({low:.3g} to {high:.3g} %).")
     WIDE = plain("{name} varies by {times:.2g} × its stated σ over the settings.")
     DEPENDS = doubt("{name} depends on the settings: mean {low} to {high}{times}.")
-    IN_GROUPS = doubt("{name}: {what} in {count} of {groups} groups.", "groups: cases with the same settings")
+    IN_GROUPS = doubt("{name}: {what} in {count} of {groups} groups.")
     ONE_OPTIMUM = plain("All {total} converged cases found the same optimum{of}.")
     OTHER_OPTIMA = plain("{others} of {total} converged cases found another optimum than the best.")
     EQUAL_OPTIMA = doubt("Several optima fit equally well.", remedy="Narrow the bounds or add priors.")
     DOUBTFUL = doubt(
         "{count} of {total} cases are DOUBTFUL: {reason}.",
-        "a reason of the verdict; residuals are not tested in a batch",
+        "a reason of the verdict, without residual tests",
         "Identify such a case by itself.",
     )
     CHECKED = plain(
         "Solver error checked in {total} cases, in {checked} by new simulations.",
-        "the other cases lie where it was known; see [solver error](#solver-error)",
+        "the other cases lie where it was known",
     )
     REFINED = plain("Solver refined in {count} cases.")
     SHIFTED = doubt(
@@ -101,13 +97,12 @@ class BatchMessage(Message):
     )
     COUPLED = doubt(
         "{count} cases depend on the communication step.",
-        "a discrete-time component is another system at another step",
+        "a discrete-time component changes with the step",
         "Set `discrete_time` of the components to true or false.",
     )
     UNCHECKABLE = doubt(
         "Solver error unknown in {count} cases: no more accurate solver exists.",
-        "or a smaller step gives identical outputs",
-        "Export the FMU for Model Exchange.",
+        remedy="Export the FMU for Model Exchange.",
     )
     FAILED = doubt("Solver error unknown in {count} cases: the more accurate simulation fails.")
 

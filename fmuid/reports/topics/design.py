@@ -36,17 +36,15 @@ class DesignMessage(Message, section="excitations"):
     ACCURATE = plain("{excitation}: relative σ of all parameters at most {worst:.3g} %.")
     SHOWS = plain(
         "{excitation}: faults detectable from {worst:.3g} % of their magnitude.",
-        "largest minimum detectable fault size; smaller is better",
     )
     BLIND = doubt(
         "{size}: not detectable with this excitation.",
-        "the fault has no effect on the outputs, or that of another cause; longer healthy data do not help",
+        "it has no effect on the outputs, or that of another cause",
         "Use another excitation.",
     )
     LENGTH = doubt(
         "{size}: detectable size is {times:.3g} × its limit; with {length:g} × longer healthy data, {longer:.3g} ×.",
-        "the limit is that of endless healthy data, the first factor that of data as long as the test; beyond the "
-        "second length the gain is below 10 %",
+        "the limit is that of endless healthy data",
     )
     SENSITIVITIES = plain(
         "Sensitivities at the initial guesses.", "small: weakly identifiable; similar: strongly correlated"

@@ -76,7 +76,7 @@ class DiagnosisMessage(Message, section="causes"):
     )
     UNEXPLAINED_INPUTS = plain(
         "UNEXPLAINED CHANGE: residual–input correlation differs from healthy data (p = {p}).",
-        "a fault without a model, or another operating point than in the healthy data",
+        "a fault without a model, or another operating point",
         "Add a fault model, or healthy data of this operating point.",
     )
     UNDECIDED = plain(
@@ -86,17 +86,17 @@ class DiagnosisMessage(Message, section="causes"):
     )
     NO_FAULT = plain(
         "NO FAULT at {level:g} % false-alarm rate (p = {p}){likely}.",
-        "smaller faults remain possible: `fmuid design` shows the minimum detectable size",
+        "smaller faults remain possible: see `fmuid design`",
     )
     PARTLY = doubt("The causes explain {share:.0%} of the change; their sizes are approximate.")
     COMMON = plain("Healthy parameters: {values}.")
     RESIDUAL = plain(
         "Residual variance: {ratio:.3g} × baseline (p = {probability:.2g}).",
-        "after the verdict's causes; a small p means an unexplained rest",
+        "a small p means an unexplained rest",
     )
     MODEL_ERROR = plain(
         "Fault-model error: {share:.2g} % along other signatures.",
-        "difference between a fault's effect and that of its model",
+        "difference between a fault and its model",
     )
     DEVIATION = doubt(
         "{name} is {distance:.2g} σ from its baseline.",
@@ -111,10 +111,10 @@ class DiagnosisMessage(Message, section="causes"):
         remedy="List healthy data in `diagnosis.healthy_data`.",
     )
     UNSTEADY = doubt("The cause depends on the linearization point: it is one of several.")
-    FROM_FILE = plain("Healthy data taken from baseline.npz.", "`fmuid identify` of the healthy study has written it")
+    FROM_FILE = plain("Healthy data taken from baseline.npz.")
     FILE_UNUSED = doubt(
         "baseline.npz not used ({how}): healthy data evaluated again.",
-        "the file beside the baseline result does not fit this study",
+        "the file does not fit this study",
         "Identify the healthy study again with the same faults.",
     )
 

@@ -26,11 +26,11 @@ CAPTION = (
 class EstimateMessage(Message, section="correlation"):
     """Precision of the estimates."""
 
-    NONE = plain("No σ for {names}.", "the data do not identify them")
-    ONE = plain("Relative σ of {name}: {share}.", "σ as a fraction of the value")
+    NONE = plain("No σ for {names}.")
+    ONE = plain("Relative σ of {name}: {share}.")
     SEVERAL = plain(
         "Relative σ: {least} ({best}) to {most} ({worst}).",
-        "σ as a fraction of the value, of the best and of the worst parameter",
+        "σ over value of the best and of the worst parameter",
     )
 
 

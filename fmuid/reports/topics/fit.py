@@ -30,9 +30,9 @@ class FitMessage(Message, section="fit"):
 
     FIT = plain(
         "Fit (NRMSE): {scores}.",
-        "100 (1 − ‖y − ŷ‖/‖y − ȳ‖) as in MATLAB; 100 % is perfect, 0 % is no better than the mean",
+        "100 (1 − ‖y − ŷ‖/‖y − ȳ‖) as in MATLAB; 0 %: no better than the mean",
     )
-    LEAST = plain("Lowest fit (NRMSE): {scores}.", "the same of the output with the lowest fit")
+    LEAST = plain("Lowest fit (NRMSE): {scores}.")
 
 
 CONSTANT = "constant as measured: no fit"

@@ -41,8 +41,8 @@ MAX_LINES = 4
 class RunMessage(Message):
     """Results of a run as a whole."""
 
-    POINT = plain("Best point: {point}.", "interrupted before the first fit from it")
-    NOISE = plain("Residual: {noise}.", "standard deviation of each output's residual, and of the stated noise")
+    POINT = plain("Best point: {point}.")
+    NOISE = plain("Residual: {noise}.", "of each output, beside the stated noise")
     INTERRUPTED = bad("Interrupted: the checks of [uncertainty] are incomplete.", remedy="Continue with `--resume`.")
 
 

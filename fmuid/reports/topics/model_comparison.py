@@ -33,25 +33,22 @@ class ComparisonMessage(Message, section="likelihood"):
         "{best} is best by AIC, not clearly: {second} is {behind:.3g} higher.", "clear: a difference of 10 or more"
     )
     CLEARLY_BEST = plain("{best} is clearly best by AIC: {second} is {behind:.3g} higher.")
-    BY_BIC = plain("BIC prefers {best}.", "BIC penalizes parameters more: the larger model gains little")
+    BY_BIC = plain("BIC prefers {best}.", "it penalizes parameters more")
     REJECTED = plain("{smaller} is rejected against {larger}: it needs {freed} (p = {chance}).")
     NOT_REJECTED = plain("{smaller} is not rejected against {larger}: {freed} not needed (p = {chance}).")
     COLORED = plain(
         "Residuals are colored: {samples} samples count as {worth:.0f} (log-likelihoods divided by {dependence:.3g}).",
-        "uncorrected AIC and BIC would be overconfident",
     )
     PRIORS = plain(
         "AIC and BIC of {names} are too high: they use priors.",
-        "the likelihood is that of the data alone, lowered by the prior",
+        "a prior lowers the likelihood of the data",
         "Compare on a common data file.",
     )
     NO_FIT = plain("Common data: fit undefined for constant outputs.", remedy="Compare the RMSE.")
     AS_GOOD = plain(
         "Common data: {names} equally good (fit {most} for {best}; {others}).", "errors differ by less than 5 %"
     )
-    BEST_FIT = plain(
-        "Common data: {best} is best (fit {most}; {others}).", "the strongest evidence if the data are typical"
-    )
+    BEST_FIT = plain("Common data: {best} is best (fit {most}; {others}).")
 
 
 def comparison_document(found: ComparisonRun) -> Document:

@@ -37,29 +37,28 @@ class MonitoringMessage(Message, section="timeline"):
     UNDECIDED = plain("UNDECIDED: no window determines {names}.", remedy="Use longer windows or another excitation.")
     NO_ALARM = plain(
         "NO ALARM in {windows} windows at {level:g} % false-alarm rate {per}.",
-        "smaller faults remain possible: see [monitoring](monitoring.md)",
+        "smaller faults remain possible",
     )
     ALARM = plain(
         "ALARM {cause}{onset}, raised at {time:.6g} s{record}.",
-        "cause, onset with its 95 % interval, and end of the first window with a change",
+        "cause, onset with its 95 % interval, end of the first window",
     )
     UNEXPLAINED = plain(
         "ALARM unexplained change, raised at {time:.6g} s of {record}.",
-        "the residual exceeds the noise and no cause explains it: a fault without a model",
+        "no cause explains the residual: a fault without a model",
         "Add a fault model, or check sensors and inputs.",
     )
-    SIZE_AT_ALARM = plain("Size at the alarm: {sizes}.", "estimate of the window that raised the alarm, alone")
+    SIZE_AT_ALARM = plain("Size at the alarm: {sizes}.")
     SIZE_NOW = plain("Current size: {sizes}.")
     RATE = plain("{column} changes by {rate}.")
     LIMIT_REACHED = plain("{column} has reached its limit {limit}.", "limit: `monitoring.size_limits`")
     LIMIT_SAFE = plain("{column} stays below its limit {limit}.")
     LIMIT_AHEAD = plain("{column} reaches its limit {limit} in {when} (95 %: {early} to {late}).")
     LIMIT_OPEN = plain("{column} does not reach its limit {limit} at this rate (95 %: {early} to {late}).")
-    SKIPPED = doubt("{source}: windows from {times} skipped.", "missing samples: an output has none in these windows")
+    SKIPPED = doubt("{source}: windows from {times} skipped.")
     WHITE_NOISE = doubt(
         "White noise assumed: the baseline is a result alone.",
-        "colored noise raises more false alarms than stated",
-        "List healthy data in `diagnosis.healthy_data`.",
+        remedy="List healthy data in `diagnosis.healthy_data`.",
     )
 
 

@@ -35,12 +35,10 @@ class OptimaMessage(Message, section="optima"):
 
     SECOND = doubt(
         "Second optimum fits equally well: {values} (cost + {excess}).",
-        "the data do not distinguish them",
-        "Narrow the bounds or add a prior.",
+        remedy="Narrow the bounds or add a prior.",
     )
     FOUND = plain(
         "{count} from {searches}; best one found {hits} ×.",
-        "how many local optimizations ended at each is in the report",
     )
 
 

@@ -48,12 +48,12 @@ class PredictionMessage(Message, section="prediction"):
     )
     WORSE = doubt(
         "{record}: {output} predicted {times} × worse than expected ({size}).",
-        "the RMSE is more than 1.25 × its expected value: model error, or the machine has changed",
+        "RMSE above 1.25 × its expected value: model error, or a changed machine",
         "Compare the residual with the inputs, or estimate with both data files.",
     )
     COVERAGE = plain(
         "{record}: {inside} of {samples} samples of {output} are in the {level} band.",
-        "close to the level of the band if the model holds for these data",
+        "near the level of the band if the model holds",
     )
     UNDETERMINED = plain("{names} not identifiable: the band contains noise only.")
     REFITTED = plain("{record}: estimated again: {values}.")

@@ -29,33 +29,30 @@ class PriorMessage(Message, section="belief"):
     AGREE = plain("Prior and data agree (p = {probability}).")
     CONFLICT = doubt(
         "Prior and data conflict (p = {probability}){most}.",
-        "the estimate is a compromise of two that exclude each other",
+        "the estimate is a compromise of both",
         "Check the prior{of}, the model and the machine.",
     )
-    DOMINATES = doubt("Prior{of} dominates {name}; data alone give {alone}.", "the data add next to nothing")
+    DOMINATES = doubt("Prior{of} dominates {name}; data alone give {alone}.")
     MOVED = plain("Prior of {prior} moved {name} from {alone} to {value} ({moved} σ).")
     NONLINEAR = doubt(
         "Linear combination of prior and data gives {name} = {value}, {distance} σ off.",
-        "the model is not linear between prior and data; σ is approximate",
+        "σ is approximate",
         'Set `[uncertainty]` profile_likelihood = ["{name}"], or a posterior.',
     )
     LARGER = doubt(
         "Residual of {output} exceeds its noise level: {estimated} against {known} (p = {probability}).",
-        "the stated noise does not explain it; σ follows the stated level",
+        "the stated noise does not explain it",
         "Check the model, the prior and the machine.",
     )
     SMALLER = doubt(
         "Residual of {output} is below its noise level: {estimated} against {known}.",
-        "σ follows the stated level and is too large",
+        "σ is too large",
         "State the right noise level: σ is {factor} × too large.",
     )
     AS_KNOWN = plain(
         "Residual of {outputs} matches its noise level (variance × {ratios}, p = {probability}).",
-        "χ² test of the residual variance",
     )
-    EXTRAPOLATED = plain(
-        "Optimum of the data alone is extrapolated: {reason}.", 'the column "data alone" is a linear approximation'
-    )
+    EXTRAPOLATED = plain("Optimum of the data alone is extrapolated: {reason}.", "a linear approximation")
 
 
 def reading_remarks(reading: PriorDataComparison, units: Units | None = None) -> list[Remark]:

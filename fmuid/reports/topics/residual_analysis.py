@@ -30,31 +30,27 @@ class ResidualMessage(Message, section="residuals"):
 
     WHITE = plain(
         "{residuals} white{inputs}.",
-        "nothing found; parameters can absorb model errors, and weak low-frequency noise hides",
+        "parameters can absorb model errors, and weak low-frequency noise hides",
         "Test on new data: `fmuid predict`.",
     )
-    TESTS = plain(
-        "Tests: {tests}; {samples} samples, level {level} %.", "whiteness, mean, correlation with inputs, normality"
-    )
+    TESTS = plain("Tests: {tests}; {samples} samples, level {level} %.")
     COLORED = doubt(
         "Residual of {name} is {degree}colored (autocorrelation {value} at lag {lag}).",
-        "neighboring samples are alike: a model error, or colored noise; if weak, the intervals allow for it",
+        "a model error, or colored noise; if weak, the intervals allow for it",
         "Check the model structure and sensor filters.",
     )
     WIDENED = plain(
         "σ is {factors} wider because {reason}.",
-        "fewer independent samples than rows; the intervals are right, also if it is chance",
+        "fewer independent samples than rows",
     )
-    NOT_WIDENED = plain(
-        "Colored noise changes σ little.", "it lies at frequencies where the parameters do not act; σ allows for it"
-    )
+    NOT_WIDENED = plain("Colored noise changes σ little.", "it lies where the parameters do not act")
     CORRELATED = doubt(
         "Residual of {name} correlates with {input} ({value} at {lag}, limit ±{band}).",
         remedy="Check interpolation, delay and unit of {input}.",
     )
     OFFSET = doubt(
         "Residual of {name} has an offset of {mean} ({share} × its standard deviation).",
-        "an offset of the sensor, or a constant effect that the model omits",
+        "of the sensor, or a constant effect that the model omits",
         "Add an offset parameter or `detrend`.",
     )
     OUTLIERS = doubt(
@@ -63,32 +59,28 @@ class ResidualMessage(Message, section="residuals"):
     )
     SHAPE = doubt(
         "Residual of {name} is not normal (skewness {skewness}, excess kurtosis {kurtosis}).",
-        "asymmetric, or with light tails: saturation, for example",
+        "saturation, for example",
         "Check for saturation and rectified signals.",
     )
     LOW_FREQUENCY = plain(
         "Residual of {name} contains low-frequency noise ({share} %, {seconds} s); σ includes it.",
-        "a drift that averaging does not remove; one white residual in a hundred looks like it",
+        "a drift; one white residual in a hundred looks like it",
     )
     LONG_MEMORY = plain(
         "Noise of {name} is slow ({seconds} s) for {record} s of data; σ is uncertain.",
-        "its time constant is more than a fifth of the data",
+        "slower than a fifth of the data",
         "Measure longer; or `detrend` if the sensor drifts.",
     )
     PERIODIC = doubt(
         "Residual of {name} repeats every {period} s ({share} % of variance); σ includes it.",
-        "a model error that repeats with the excitation; more cycles do not reduce it",
+        "a model error; more cycles do not reduce it",
         "Improve the model or vary the excitation.",
     )
     IRREGULAR = plain(
         "{names}: unequal sampling intervals, treated as equal.", remedy="Set `resample_interval` if they differ much."
     )
-    SLIGHT = plain(
-        "Residual of {name}: significant but small {traits}.", "many samples reveal the smallest defect; harmless"
-    )
-    UNTESTED = plain(
-        "Residual of {names} is too short, or rounding only: not tested.", "tests need 20 samples above rounding errors"
-    )
+    SLIGHT = plain("Residual of {name}: significant but small {traits}.", "harmless")
+    UNTESTED = plain("Residual of {names} is too short, or rounding only: not tested.", "tests need 20 samples")
 
 
 def residual_remarks(found: ResidualAnalysis, units: Mapping[str, str | None] | None = None) -> list[Remark]:

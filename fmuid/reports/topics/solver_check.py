@@ -61,24 +61,23 @@ def capability_words(interface: str, declared: Mapping[str, str]) -> list[str]:
 class SolverMessage(Message, section="accuracy"):
     """Solver error of the estimates, and solver refinement."""
 
-    PASSED = plain("Solver error is below {shift} σ.", "a more accurate simulation moves no estimate further")
+    PASSED = plain("Solver error is below {shift} σ.")
     PASSED_OUTPUTS = plain(
         "Solver error changes all outputs by {change} σ of the noise.", "no estimate has a σ to compare with"
     )
     CHECKED = plain("Solver check: {finer}.")
     REFINED = plain(
         "Solver refined to {after}: {reason}.",
-        "the solver was too inaccurate, or not all σ are known; the results are from the new one",
+        "the results are from the new solver",
     )
     REFUSED = plain(
         "{count} other optima exist only with the inaccurate solver.",
-        "they fitted as well, but a more accurate solver moves away from them",
+        "a more accurate solver moves away from them",
     )
-    SHIFTED = plain("Solver error moves {shifts}; σ includes it.", "it is larger than a tenth of σ")
+    SHIFTED = plain("Solver error moves {shifts}; σ includes it.")
     ASKED = plain(
         "The solver was kept as the study sets it.",
-        "the settings exclude a refinement",
-        "Leave `interface`, `tolerance` and `solver_check` unset.",
+        remedy="Leave `interface`, `tolerance` and `solver_check` unset.",
     )
     FITS_BETTER = plain(
         "The solver was kept: a more accurate one fits clearly worse.", "the data may come from this very solver"
@@ -87,7 +86,7 @@ class SolverMessage(Message, section="accuracy"):
     FINEST = plain("The solver was kept: no more accurate one exists.", remedy="Export the FMU for Model Exchange.")
     UNKNOWN = doubt(
         "Solver error is unknown; it changes all outputs by {change} σ of the noise.",
-        "not all parameters have a σ to compare with",
+        "not all parameters have a σ",
         "First make all parameters identifiable.",
     )
     UNCHECKABLE = doubt(
@@ -97,19 +96,18 @@ class SolverMessage(Message, section="accuracy"):
     )
     FIXED_STEP = doubt(
         "Solver error is unknown: the FMU ignores shorter communication steps.",
-        "the outputs are identical to the last bit: its internal step is fixed",
+        "its internal step is fixed",
         "Export the FMU for Model Exchange.",
     )
     COUPLED = plain(
         "Solver error is unknown: communication steps of a quarter move {shifts}.",
-        "either an error, or a sampled controller that acts more often",
+        "an error, or a sampled controller that acts more often",
         "Set `discrete_time` to true or false for each component.",
     )
     FAILED = doubt("Solver error is unknown: {finer} fails at the estimates.")
     INTERRUPTED = doubt("Solver error was not checked: interrupted.")
     RUN = plain(
         "{model}: {run}.",
-        "interface and solver; a new process for each simulation serves an FMU whose static variables survive a reset",
     )
     SENSITIVITIES = plain("Jacobian: {how}.")
 

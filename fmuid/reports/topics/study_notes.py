@@ -19,7 +19,7 @@ class StudyMessage(Message):
 
     GAP = doubt(
         "{data}: rows missing after {times} s; inputs are interpolated.",
-        "the logger left out samples; the inputs meanwhile are unknown",
+        "the inputs meanwhile are unknown",
         "Cut the data there if the inputs changed.",
     )
     TOO_LONG = doubt(
@@ -34,7 +34,7 @@ class StudyMessage(Message):
     )
     SIZE = doubt(
         "{data}: simulated {column} varies {ratio} times as much as measured.",
-        "by `fmuid init`: a wrong unit, or start values of another machine",
+        "a wrong unit, or start values of another machine",
         'Set the units of {column} and of the inputs, for example U = "mV".',
     )
     NO_DATA = doubt("{data}: no column for {inputs}; start value used.")
@@ -44,7 +44,7 @@ class StudyMessage(Message):
     )
     NO_MODEL = doubt(
         "{path}: this earlier result names no model.",
-        "of an older version: the parameters may mean something else",
+        "the parameters may mean something else",
         "Identify it again.",
     )
     OTHER_BUILD = doubt(

@@ -39,36 +39,35 @@ class TerminationMessage(Message, section="cost"):
     CONVERGED = plain("Converged after {iterations}.", "a further step would gain less than a thousandth of σ")
     ACCURACY = plain(
         "Converged after {iterations}; solver accuracy limits further digits.",
-        "below this the cost is irregular by solver errors; mostly harmless",
+        "below this the cost is irregular; mostly harmless",
         "Reduce `tolerance` or `step_size` for more digits.",
     )
     UNDETERMINED = bad("Not all parameters are identifiable.")
     UNSETTLED = bad("Not converged: noise variances do not settle.", remedy="Set `noise.variance`.")
     ITERATION_LIMIT = bad(
         "Not converged: limit of {iterations} reached.",
-        "the estimates still change; see their figure in the report",
+        "the estimates still change",
         "Raise `max_iterations` or improve the initial guess.",
     )
     RUNAWAY = bad(
         "Not converged: parameters diverge without improving the fit.",
-        "the data do not limit a direction: too many parameters for these data",
+        "too many parameters for these data",
         "Add bounds or a prior, improve the initial guess, or measure more.",
     )
     STALLED = bad(
         "Not converged: no step reduces the cost.",
-        'its slope is noise of events or of a coarse solver; try `interface = "model-exchange"`',
+        'events or a coarse solver; try `interface = "model-exchange"`',
         "Reduce solver `tolerance` or `step_size`, or change the initial guess.",
     )
     FAILING = bad(
         "Not converged: simulations fail near these values.",
-        "each step that reduces the cost ends in a failed simulation; often a unit is wrong",
+        "often a unit is wrong",
         "Add bounds that exclude this region, or change the initial guess.",
     )
-    INTERRUPTED = bad("Interrupted: best values so far.", "by Ctrl-C or the scheduler", "Continue with `--resume`.")
+    INTERRUPTED = bad("Interrupted: best values so far.", remedy="Continue with `--resume`.")
     INTERRUPTED_SEARCH = bad(
         "Interrupted after {fits} of a global search: best values so far.",
-        "by Ctrl-C or the scheduler",
-        "Continue with `--resume`.",
+        remedy="Continue with `--resume`.",
     )
     AT_BOUND = doubt(
         "{name} is at its {end} bound {value}.",
@@ -78,7 +77,7 @@ class TerminationMessage(Message, section="cost"):
     EFFORT = plain("{iterations}, {simulations} simulations, {seconds} s; cost {cost}{likelihood}.")
     OBSERVER = doubt(
         "Observer with a memory of {memory} samples: predictions were fitted, not simulations.",
-        "asked for by `estimation.observer_memory`; measurement noise biases the estimates",
+        "asked for by `estimation.observer_memory`; noise biases the estimates",
         "Repeat with a longer `observer_memory`; estimates that change show a bias.",
     )
 
@@ -88,11 +87,11 @@ class StartMessage(Message, section="cost"):
 
     RESTARTED = plain(
         "Initial guess failed; restart {number} of {count} converged.",
-        "the other starting points are listed with `--verbose`",
+        "`--verbose` lists the starting points",
     )
     MODEL_ERROR = doubt(
         "Residual is {ratio} × noise level; all {count} starting points agree.",
-        "the model, an input or a disturbance is wrong, not the initial guess",
+        "not the initial guess: model, input or disturbance",
         "Check the model, input interpolation and units.",
     )
     LARGE_RESIDUAL = doubt(
@@ -102,12 +101,10 @@ class StartMessage(Message, section="cost"):
     NONE_CONVERGED = doubt(
         "None of {count} starting points converged.", remedy="Check bounds and model, or improve the initial guess."
     )
-    ATTEMPTS = plain(
-        "Starting points: {attempts}.", "origin and end of each; a corrected simulation follows the measured outputs"
-    )
+    ATTEMPTS = plain("Starting points: {attempts}.")
     REPLACED = plain(
         "{name} has no effect at its initial guess; used {name} = {value} instead.",
-        "a dead zone, for example friction below the first motion",
+        "a dead zone, for example friction",
     )
     SIGN = doubt(
         "{name} changed sign, from {start} to {value}.", remedy="Add a bound at zero if the model requires one sign."

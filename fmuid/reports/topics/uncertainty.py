@@ -40,20 +40,18 @@ class UncertaintyMessage(Message, section="profiles"):
     )
     END_NOT_CONVERGED = doubt(
         "At {name} = {value} the other parameters did not converge ({reason}).",
-        "the cost there may be lower, and the interval wider",
+        "the interval may be wider",
     )
     OTHER_BOUND = doubt("At the {end} end of {name}, {other} is at its bound {bound}.")
     BETTER = doubt(
         "No interval of {name}: at {value} the cost is lower by {fall}.",
-        "a better optimum was found on the way",
-        "Identify again from the row of that value in `profiles.csv`.",
+        remedy="Identify again from the row of that value in `profiles.csv`.",
     )
     ROUGH_END = doubt("End of {name} near {value} is not precise.")
     PROFILE_INTERRUPTED = doubt("Interrupted: profile of {name} is incomplete.")
     BETTER_ON_MAP = doubt(
         "Cost is lower by {fall} at {first} = {x}, {second} = {y}.",
-        "the optimization ended at a local optimum",
-        'Use that initial guess, or set `method = "multi-start"`.',
+        remedy='Use that initial guess, or set `method = "multi-start"`.',
     )
     SAMPLED = plain("Posterior converged: at least {samples} independent samples, R-hat at most {r_hat}.")
     SAMPLING_INTERRUPTED = doubt("Sampling interrupted after {steps} steps.")
@@ -68,7 +66,7 @@ class UncertaintyMessage(Message, section="profiles"):
     )
     DISAGREEING = doubt(
         "Posterior of {name} has not converged (R-hat {r_hat}, limit {limit}) after {steps} steps.",
-        "the walkers disagree: several optima, or a direction that is not identifiable",
+        "several optima, or a direction that is not identifiable",
         "Raise `max_steps`; if that does not help, add a prior or narrower bounds.",
     )
     TOO_FEW = doubt(
@@ -78,8 +76,7 @@ class UncertaintyMessage(Message, section="profiles"):
     )
     OTHER_OPTIMUM = doubt(
         "Another optimum is similarly probable: {values}.",
-        "an interval around one optimum is not the whole posterior",
-        "Narrow the bounds or add a prior.",
+        remedy="Narrow the bounds or add a prior.",
     )
     PRIOR_ONLY = doubt("{names}: along this direction the samples show priors and bounds only.")
 

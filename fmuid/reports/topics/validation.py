@@ -30,7 +30,7 @@ class ValidationMessage(Message):
     REPEATABLE = plain("second simulation: same outputs")
     NOT_REPEATABLE = plain(
         "second simulation: different outputs",
-        "the FMU keeps data between simulations: with process isolation each simulation has a new process",
+        "the FMU keeps data; with process isolation each simulation has a new process",
         "Export the FMU again without static variables.",
     )
     NEEDS_TOOL = plain("runs only with {tool} on this machine ({interfaces})", remedy="Export it as a standalone FMU.")
