@@ -72,6 +72,13 @@ def test_the_start_shows_it(folder: Path, internal: float) -> None:
     assert abs(unchecked["k"] - result["k"]) > 1e-4
 
 
+def test_where_the_start_fails(folder: Path) -> None:
+    """Euler's steps of 0.05 s explode for k = 1e4."""
+    result = fmuid.identify(solved(folder, k=1e4, exchange=True), restart=False)
+    assert [switch.cause for switch in checked(result).switches] == [SwitchCause.START_FAILED]
+    assert off(result) < 3.0
+
+
 @pytest.mark.parametrize("loss", ["linear", "huber"])
 def test_the_optimum_shows_it(folder: Path, loss: str) -> None:
     """At a start with hardly any dynamics both agree; the search goes on from the estimates."""
