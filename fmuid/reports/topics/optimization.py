@@ -35,11 +35,10 @@ class OptimaMessage(Message, section="optima"):
 
     SECOND = doubt(
         "Second optimum fits equally well: {values} (cost + {excess}).",
-        remedy="Narrow the bounds or add a prior.",
+        "the data do not distinguish them",
+        "Narrow the bounds or add a prior.",
     )
-    FOUND = plain(
-        "{count} from {searches}; best one found {hits} ×.",
-    )
+    FOUND = plain("{count} from {searches}; best one found {hits} ×.")
 
 
 def optima_remarks(result: Result) -> list[Remark]:
