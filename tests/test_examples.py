@@ -32,7 +32,7 @@ NAMESPACES = [
     *((fmuid, name) for name in NAMES),
     *((fmuid.datasets, name) for name in fmuid.datasets.__all__),
     *((fmuid.signals, name) for name in SIGNALS),
-    *((fmuid.data, name) for name in ("ParkTransform", "preprocess")),
+    *((fmuid.data, name) for name in ("Observation", "ParkTransform", "preprocess")),
     *((fmuid.diagnosis, name) for name in ("DiagnosisSettings", "FaultAngle", "planned_experiment")),
     *((fmuid.estimation, name) for name in ("LeastSquares", "LinearEstimate", "Term", "equation_error")),
     *((fmuid.estimation, name) for name in ("instrumental_variables", "linear_least_squares")),

@@ -24,6 +24,11 @@ from .noise import Noise as Noise
 from .noise import noise_levels as noise_levels
 from .npz import read_arrays as read_arrays
 from .npz import write_arrays as write_arrays
+from .observation import LINES as LINES
+from .observation import Angle as Angle
+from .observation import Observation as Observation
+from .observation import Sensor as Sensor
+from .observation import is_quantity as is_quantity
 from .parameters import Parameter as Parameter
 from .parameters import ParameterSet as ParameterSet
 from .preprocessing import ParkTransform as ParkTransform
@@ -33,3 +38,4 @@ from .priors import JointPrior as JointPrior
 from .priors import Normal as Normal
 from .readers.text import first_lines as first_lines
 from .readers.text import head_length as head_length
+from .sensor_map import SensorMap as SensorMap

@@ -6,7 +6,7 @@ import copy
 import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
 
@@ -19,6 +19,9 @@ from fmuid.data.clock import column_of, missing_column
 from fmuid.data.data_file import SOURCE, UNITS, numeric_column
 from fmuid.data.filters import missing_rows, usual_step
 from fmuid.data.interpolation import HELD, as_held, interpolation_words, slopes
+from fmuid.data.observation import Observation
+from fmuid.data.observed_table import model_roles, observed_table
+from fmuid.data.sensor_map import SensorMap
 from fmuid.display_mixins import HtmlTableMixin
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
@@ -53,11 +56,11 @@ class Experiment(HtmlTableMixin):
         Name in results.
     source : str
         Name of the data in messages. Default: their file.
+    observation : Observation, optional
+        Phase signals of a machine in rotating axes: outputs are the readings of the current sensors.
 
     Attributes
     ----------
-    times : ndarray (K,)
-        Time, s.
     input_values : ndarray (K, n_inputs)
         In the units of the data; with zero-order hold from each sample on.
     output_values : ndarray (K, n_outputs)
@@ -88,10 +91,20 @@ class Experiment(HtmlTableMixin):
     measured: bool = True
     name: str = "experiment"
     source: str = ""
-    times: Floats = field(init=False, repr=False)
+    observation: Observation | None = None
     input_values: Floats = field(init=False, repr=False)
     output_values: Floats = field(init=False, repr=False)
     counted: Flags = field(init=False, repr=False)
+
+    @cached_property
+    def times(self) -> Floats:
+        """Times (K,), s."""
+        return _frozen(_times(self.source, self.frame, self.time))
+
+    @cached_property
+    def sensor_map(self) -> SensorMap | None:
+        """Map of the observation over these data, made with them; None without one."""
+        return None
 
     @cached_property
     def columns(self) -> dict[str, str]:
@@ -139,6 +152,8 @@ class Experiment(HtmlTableMixin):
         for variable in (each for each in inputs if each in outputs):
             raise InputError(f"{source}: {variable!r} is both input and output. Give it one role.")
         frame = _frame(source, self.frame, self.time)
+        if self.observation is not None and self.time in frame.columns:
+            frame, inputs, outputs = self._observed(source, frame, inputs, outputs)
         for roles in (inputs, outputs):
             roles.update({name: column_of(frame.columns, column) or column for name, column in roles.items()})
         there = outputs if self.measured else {name: c for name, c in outputs.items() if c in frame.columns}
@@ -158,12 +173,43 @@ class Experiment(HtmlTableMixin):
         self._set(times=times, input_values=input_values, output_values=output_values, counted=counted)
         _ = self.input_slopes  # which may be refused
 
+    def _observed(
+        self, source: str, frame: pd.DataFrame, inputs: dict[str, str], outputs: dict[str, str]
+    ) -> tuple[pd.DataFrame, dict[str, str], dict[str, str]]:
+        """Return frame and roles with the columns of an observation."""
+        given, words = self.observation, self.interpolation
+        assert given is not None, "asked before"
+        word = words if isinstance(words, str) else words.get(next(iter(given.voltages), ""), "linear")
+        if word == "zoh-next":
+            raise InputError(f'{source}: interpolation: phase voltages cannot be "zoh-next". Use "zoh" or "linear".')
+        found = observed_table(given, source, frame, _times(source, frame, self.time), (inputs, outputs), word in HELD)
+        self._set(sensor_map=found.map)
+        return found.frame, found.inputs, found.outputs
+
+    @cached_property
+    def of_model(self) -> Experiment:
+        """The experiment in the machine's variables: currents of the axes in place of sensors."""
+        if self.observation is None or self.sensor_map is None:
+            return self
+        roles = {name: self.columns[name] for name in self.output_names}
+        outputs, values = model_roles(self.observation, roles, self.output_values, self.sensor_map)
+        frame = self.frame.assign(**dict(zip(outputs.values(), values.T, strict=True)))
+        other, own = copy.copy(self), self.observation
+        for name in ("columns", "output_names", "of_model"):
+            vars(other).pop(name, None)
+        units = {name: unit for name, unit in self.units.items() if name not in own.current_sensors}
+        units |= dict.fromkeys(own.currents, "A")
+        other._set(observation=None, sensor_map=None, frame=frame, outputs=outputs, units=units, warmup=0.0)
+        other._set(output_values=values, counted=~np.isnan(values))
+        return other
+
     @classmethod
     def of_arrays(cls, name: str, times: Floats, outputs: Sequence[str], values: Floats, counted: Flags) -> Self:
         """Return unchecked measurements without inputs; arrays as the attributes."""
         made, empty = cls.__new__(cls), np.empty((len(times), 0))
         frame = pd.DataFrame({"time": times} | dict(zip(outputs, values.T, strict=True)))
         made._set(frame=frame, inputs={}, outputs=dict(zip(outputs, outputs, strict=True)), units={}, values={})
+        made._set(observation=None, sensor_map=None)
         made._set(name=name, source="the table", times=times, input_values=empty, output_values=values, counted=counted)
         return made
 
@@ -191,9 +237,22 @@ class Experiment(HtmlTableMixin):
         counted = _counted(self.source, self.times, given, outputs, outputs, self.warmup)
         frame = self.frame.assign(**{column: given[:, k] for k, column in enumerate(outputs.values())})
         other = copy.copy(self)
-        vars(other).pop("columns", None)
+        for name in ("columns", "of_model"):
+            vars(other).pop(name, None)
         other._set(frame=frame, outputs=outputs, measured=True, output_values=given, counted=counted)
         return other
+
+    def with_inputs(self, values: Floats) -> Self:
+        """Return the experiment with other inputs (K, n_inputs), unchecked; its columns stay."""
+        other = copy.copy(self)
+        for name in ("input_slopes", "of_model"):
+            vars(other).pop(name, None)
+        other._set(input_values=values)
+        return other
+
+    def with_columns(self, columns: Mapping[str, Floats]) -> Experiment:
+        """Return the experiment with other values (K,) of columns."""
+        return replace(self, frame=self.frame.assign(**columns))
 
     def _set(self, **fields: object) -> None:
         """Set fields of the frozen class; arrays become read-only."""

@@ -15,6 +15,7 @@ import numpy as np
 from fmuid.array_types import Floats
 from fmuid.data import Experiment
 from fmuid.estimation import LeastSquares, Result
+from fmuid.identification.line_directions import is_estimated, line_errors
 from fmuid.identification.linearized_record import Forcing, LinearizedRecord, both_ends
 from fmuid.identification.model_errors import CHANGING, Direction, ErrorKind
 from fmuid.simulation import Simulator
@@ -65,6 +66,8 @@ def model_directions(problem: LeastSquares, simulators: Sequence[Simulator], res
         columns = problem.parameters.for_experiment(index)[1]
         own = np.array([slopes[i][index] for i in columns])
         for each in _columns(simulator, theta[columns], simulated[index], own, len(problem.experiments)):
+            if is_estimated(each.kind, each.subject, simulator.parameters):
+                continue
             found.setdefault((each.kind, each.subject), {})[index] = each
     empty = [np.zeros(each.output_values.shape) for each in problem.experiments]
     directions = []
@@ -88,28 +91,29 @@ def _columns(
 ) -> Iterator[_Column]:
     """Yield the directions over one experiment."""
     experiment = simulator.experiment
-    units = {name: experiment.units.get(name) or simulator.system.unit(name) or "" for name in experiment.columns}
+    known, names = {**experiment.of_model.units, **experiment.units}, experiment.of_model.columns | experiment.columns
+    units = {name: known.get(name) or simulator.system.unit(name) or "" for name in names}
     yield from _of_sensors(experiment, simulated, units)
     yield from _of_fixed(simulator, theta)
-    record = LinearizedRecord.of(simulator, theta)
-    if record is None or not _agrees(record, slopes):
+    record = LinearizedRecord.of(simulator.model_at(theta), theta)
+    if record is None or not _agrees(simulator.seen(record.sensitivities, theta)[simulator.own], slopes[simulator.own]):
         return
-    yield from _delays(record)
-    forced = list(_of_inputs(record, units))
+    yield from _delays(record, simulator, theta)
+    forced = list(_of_inputs(record, units) if simulator.observed is None else _of_lines(record, simulator, units))
     forced += _of_parameters(record, simulator, units)
     forced += _of_initial_states(record, simulator, experiments)
-    tables = record.response([each[1] for each in forced])
+    tables = simulator.seen(record.response([each[1] for each in forced]), theta)
     for (made, _), table in zip(forced, tables, strict=True):
         yield _Column(made.kind, made.subject, made.unit, made.usual, table, made.one_sided)
 
 
-def _agrees(record: LinearizedRecord, slopes: Floats) -> bool:
+def _agrees(linearized: Floats, slopes: Floats) -> bool:
     """Return True if linearized and simulated sensitivities (N, K, n_y) agree.
 
     They are not where the model has events, delays or a memory.
     """
     counted = np.isfinite(slopes)
-    for own, other, where in zip(record.sensitivities, slopes, counted, strict=True):
+    for own, other, where in zip(linearized, slopes, counted, strict=True):
         if np.linalg.norm(own[where] - other[where]) > SETTINGS.agreement * np.linalg.norm(other[where]):
             return False
     return True
@@ -133,12 +137,15 @@ def _of_sensors(experiment: Experiment, simulated: Floats, units: Mapping[str, s
         yield _Column(ErrorKind.GAIN, (name,), "", SETTINGS.share, _only(shape, j, simulated[:, j]))
 
 
-def _delays(record: LinearizedRecord) -> Iterator[_Column]:
+def _delays(record: LinearizedRecord, simulator: Simulator, theta: Floats) -> Iterator[_Column]:
     """Yield delays of all outputs and of each, in samples: secants of half a sample."""
-    middle, outputs = record.half_samples, record.outputs
+    middle, outputs, observed = record.half_samples, record.outputs, simulator.observed
+    if observed is not None:
+        (values,) = np.where(observed.map.is_delay, 0.0, observed.quantities(theta[None]))
+        middle, outputs = observed.between(middle, values), observed.seen(outputs, values)
     late = 2.0 * (np.vstack([outputs[:1], middle]) - outputs)
     early = 2.0 * (np.vstack([middle, outputs[-1:]]) - outputs)
-    names = record.experiment.output_names
+    names = simulator.experiment.output_names
     parts = [(names, slice(None))] + (
         [((name,), slice(j, j + 1)) for j, name in enumerate(names)] if len(names) > 1 else []
     )
@@ -188,6 +195,25 @@ def _of_inputs(record: LinearizedRecord, units: Mapping[str, str]) -> Iterator[t
         if len(parts) > 1:
             yield _made(ErrorKind.INTERPOLATION, tuple(parts), "", 1.0, True), _sum_of(list(parts.values()))
     yield from _dead_times(record, units)
+
+
+def _of_lines(
+    record: LinearizedRecord, simulator: Simulator, units: Mapping[str, str]
+) -> Iterator[tuple[_Column, Forcing]]:
+    """Yield errors of line voltages, and of the inputs that are none."""
+    observed = simulator.observed
+    assert observed is not None, "an observation was asked for"
+    experiment, voltages = record.experiment, set(observed.map.given.voltages)
+    for made, forcing in _of_inputs(record, units):
+        if made.kind is ErrorKind.INTERPOLATION or not voltages & set(made.subject):
+            yield made, forcing
+    places = [experiment.input_names.index(name) for name in observed.map.given.voltages]
+    for each in line_errors(observed.map, observed.currents(record.outputs)):
+        changes = both_ends(each.change)
+        if observed.map.held:
+            changes[1::2] = changes[::2]
+        parts = [_input_change(record, j, changes[:, k]) for k, j in enumerate(places)]
+        yield _made(each.kind, each.subject, each.unit, SETTINGS.share * each.size), _sum_of(parts)
 
 
 def _input_delays(record: LinearizedRecord, column: int, rise: Floats) -> Iterator[tuple[_Column, Forcing]]:

@@ -69,7 +69,7 @@ class _WeakRecord:
 
     @classmethod
     def of(cls, problem: Problem, index: int, start: Floats) -> _WeakRecord | None:
-        simulator, experiment = problem.simulators[index], problem.experiments[index]
+        simulator, experiment = problem.simulators[index], problem.experiments[index].of_model
         side = RightHandSide.of(simulator)
         if side is None:
             raise InputError("the model has no accessible right-hand side.")

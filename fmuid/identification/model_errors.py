@@ -28,6 +28,7 @@ class ErrorKind(Enum):
     INPUT_OFFSET = "input_offset"
     GAIN = "gain"
     INPUT_GAIN = "input_gain"
+    JOINT = "joint"  # a resistance in series with a line
     DEAD_TIME = "dead_time"  # an input lacks a constant against the sign of an output
     SATURATION = "saturation"  # a parameter depends on the square of outputs
     STATE_DEPENDENCE = "state_dependence"  # a parameter depends on the square of unmeasured states

@@ -45,6 +45,8 @@ def with_observer(problem: Problem, samples: float = 3.0) -> Problem:
 
 def _observed(problem: Problem, index: int, samples: float) -> Simulator:
     simulator, experiment = problem.simulators[index], problem.experiments[index]
+    if experiment.observation is not None:
+        raise InputError(f"an observer excludes an observation. Remove one from {experiment.source}.")
     side = RightHandSide.of(simulator)
     if side is None:
         raise InputError("an observer needs a single FMU with Model Exchange and accessible states.")

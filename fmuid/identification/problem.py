@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any, Self, cast
 
 from fmuid.array_types import Floats
-from fmuid.data import Experiment, JointPrior, Noise, Parameter, ParameterSet
-from fmuid.errors import InputError
+from fmuid.data import Experiment, JointPrior, Noise, Parameter, ParameterSet, is_quantity
+from fmuid.errors import InputError, check_kind
 from fmuid.estimation import SENSITIVITIES, LeastSquares, Result, RunFields, UsedModel
 from fmuid.formatting import nearest
 from fmuid.identification.model_errors import Direction
@@ -129,6 +129,8 @@ class Problem(LeastSquares):
             raise InputError(f"{both!r} is in parameters and in choices. Keep one of the two.")
         self.values: Mapping[str, Value] = dict(values or {}) | {name: few[0] for name, few in self.choices.items()}
         self.refinement, self.observer = AS_ASKED, None
+        check_kind(parameters, Mapping, "parameters must be a mapping of names to fmuid.Parameter(start)")
+        parameters = with_quantities(listed, parameters)
         simulators = self._lay_out(listed, tuple(parameters), self.values)
         super().__init__(
             simulators,
@@ -209,8 +211,12 @@ class Problem(LeastSquares):
         found, bounds = hashlib.sha256(repr(parts).encode()), (self.parameters.lower, self.parameters.upper)
         for experiment, kept in zip([each.experiment for each in self.simulators], self.kept, strict=True):
             given = experiment.output_names, experiment.input_names, experiment.interpolation
-            found.update(repr((*given, dict(experiment.units), dict(experiment.values))).encode())
-            for array in (experiment.times, experiment.input_values, kept, *bounds):
+            found.update(
+                repr((*given, dict(experiment.units), dict(experiment.values), experiment.observation)).encode()
+            )
+            made = experiment.sensor_map
+            readings = () if made is None else (made.angle, made.voltages)
+            for array in (experiment.times, experiment.input_values, kept, *bounds, *readings):
                 found.update(array.tobytes())
         found.update(b"" if self.levels.scale is None else self.levels.scale.tobytes())
         return found.digest()
@@ -240,7 +246,8 @@ class Problem(LeastSquares):
     def units(self) -> dict[str, str]:
         """Units of the parameters that have one."""
         names = self.parameters.names
-        return {name: unit for name, unit in zip(names, parameter_units(self.system, names), strict=True) if unit}
+        found = zip(names, parameter_units(self.system, names, self.experiments), strict=True)
+        return {name: unit for name, unit in found if unit}
 
     @property
     def how_run(self) -> dict[str, RunFields]:
@@ -257,6 +264,19 @@ class Problem(LeastSquares):
     def corrected(self) -> bool:
         """True if measurements correct the states: there is no solver check then."""
         return any(each.corrects for each in self.simulators)
+
+
+def with_quantities(experiments: Sequence[Experiment], parameters: Mapping[str, Parameter]) -> dict[str, Parameter]:
+    """Return parameters and those of observations; given ones come first."""
+    found = dict(parameters)
+    maps = [each.observation for each in experiments if isinstance(each, Experiment) and each.observation is not None]
+    known = [name for each in maps for name in each.names]
+    for name in (name for name in parameters if is_quantity(name) and name not in known):
+        raise InputError(f"parameter {name!r}: no experiment has this sensor or line{nearest(name, known)}.")
+    for name, parameter in (pair for each in maps for pair in each.parameters.items()):
+        if name not in parameters and found.setdefault(name, parameter) != parameter:
+            raise InputError(f"{name!r} differs between experiments. Give both the same start and prior.")
+    return found
 
 
 def run_fields(system: System, refinement: Refinement, stiff: frozenset[str] = frozenset()) -> dict[str, RunFields]:

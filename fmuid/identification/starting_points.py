@@ -290,7 +290,7 @@ def _corrected(problem: Problem, index: int, start: Floats) -> tuple[Simulator, 
     simulator = problem.simulators[index]
     try:
         side = RightHandSide.of(simulator)
-        if side is None:
+        if side is None or simulator.observed is not None:
             return None
         slopes, _, _ = side.output_slopes(start[problem.parameters.for_experiment(index)[1]])
     except FmuidError:  # the search itself reports errors of the model

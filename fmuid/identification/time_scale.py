@@ -76,6 +76,7 @@ def doubt_of_time(simulator: Simulator, theta: Sequence[float]) -> TimeScaleWarn
     TimeScaleWarning or None
         None without mismatch, or if the model does not settle or cannot be simulated.
     """
+    simulator = simulator.of_model
     record = simulator.experiment
     duration, step = float(record.times[-1] - record.times[0]), float(np.median(np.diff(record.times)))
     times, values = _response(simulator, theta, duration)

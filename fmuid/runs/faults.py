@@ -201,7 +201,7 @@ def ranked_excitations(
         return design_of(study, fault).rank(candidates)
     study.check_parameters()
     variance = study.known_variance
-    for name in words.outputs:
+    for name in words.output_names:
         if name not in variance:
             raise InputError(f"{study.path}: noise: no variance of {name!r}. Give it.")
     parameters, values = _shared(study), study.model.values

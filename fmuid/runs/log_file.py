@@ -133,7 +133,7 @@ class _Lines:
             copy = Path(folder, f"rows{self.path.suffix}")
             copy.write_bytes(self.head + self.reference + self.content[: int(self.ends[count - 1]) if count else 0])
             frame = words.read_frame(copy, str(self.path))
-        for column in [time_name(words.time), *words.inputs.values(), *words.outputs.values()]:
+        for column in [time_name(words.time), *words.columns]:
             if column in frame.columns and not words.preprocess.computed_columns:
                 numeric_column(frame, column, str(self.path))
         if len(frame) != 1 + np.count_nonzero(there):

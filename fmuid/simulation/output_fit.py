@@ -102,7 +102,17 @@ def fit_of(system: System, experiment: Experiment, simulated: Floats) -> OutputF
     )
 
 
-def parameter_units(system: System, names: Sequence[str]) -> tuple[str | None, ...]:
-    """Return the unit of each parameter, also of ``variable[experiment]``."""
+def parameter_units(
+    system: System, names: Sequence[str], experiments: Sequence[Experiment] = ()
+) -> tuple[str | None, ...]:
+    """Return the unit of each parameter, also of ``variable[experiment]`` and of sensors."""
     variables = system.variables
-    return tuple(variables[name if name in variables else name.rpartition("[")[0]].unit for name in names)
+
+    def unit(name: str) -> str | None:
+        own = name if name in variables or name.endswith(")") else name.rpartition("[")[0]
+        if own in variables:
+            return variables[own].unit
+        seen = (each for each in experiments if each.observation is not None and own in each.observation.names)
+        return next((each.observation.unit(own, each.units) for each in seen if each.observation is not None), None)
+
+    return tuple(map(unit, names))

@@ -214,7 +214,7 @@ def grid_of(task: SimulationTask) -> TimeGrid:
     substeps = np.maximum(substeps, 1).astype(np.intp) * task.divisor
     strides *= [1 if task.system.integrates(component) else task.divisor for component in task.steps]
     _check_steps(task, intervals / substeps)
-    inputs, slopes = _converted_inputs(task)
+    inputs, slopes = converted_inputs(task)
     return TimeGrid(np.array(task.experiment.times), substeps, strides, inputs, slopes if curved else None)
 
 
@@ -231,7 +231,7 @@ def _check_steps(task: SimulationTask, steps: Floats) -> None:
             )
 
 
-def _converted_inputs(task: SimulationTask) -> tuple[Floats, Floats]:
+def converted_inputs(task: SimulationTask) -> tuple[Floats, Floats]:
     """Return inputs and their slopes in units of the FMU."""
     experiment = task.experiment
     columns = [each.column for each in task.targets.values()]

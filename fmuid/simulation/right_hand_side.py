@@ -58,7 +58,7 @@ class RightHandSide:
     @classmethod
     def of(cls, simulator: Simulator) -> RightHandSide | None:
         """Return a simulator's right-hand side; None unless one FMU shows its derivatives."""
-        system = by_model_exchange(simulator.system)
+        simulator, system = simulator.of_model, by_model_exchange(simulator.system)
         if system is None or len(system.components) > 1 or len(simulator.experiment.times) < 2:
             return None
         ((component, model),) = system.components.items()

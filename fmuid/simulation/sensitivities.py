@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,7 +32,52 @@ def derivatives_of(simulator: Simulator, sensitivity: str) -> Callable[[Floats],
     InputError
         If the model has no such sensitivities.
     """
-    return FmuSensitivities(simulator) if sensitivity == "fmu" else ForwardSensitivities(simulator)
+    kind = FmuSensitivities if sensitivity == "fmu" else ForwardSensitivities
+    return kind(simulator) if simulator.observed is None else ObservedSensitivities(simulator, kind)
+
+
+class ObservedSensitivities:
+    """Sensitivities of sensor readings: the model's through the map, those of sensors in closed form.
+
+    Quantities that change the inputs have differences, and so has the model while voltages depend on its currents.
+    """
+
+    def __init__(self, simulator: Simulator, kind: Callable[[Simulator], Callable[[Floats], Floats]]) -> None:
+        assert simulator.observed is not None, "an observation was asked for"
+        self._simulator, self._observed = simulator, simulator.observed
+        own = [simulator.parameters[j] for j in simulator.own]
+        self._model = simulator.of_model.over(simulator.experiment.of_model, own)
+        self._derivatives = kind(self._model) if own else None
+        self.by_differences = bool(getattr(self._derivatives, "by_differences", False))
+
+    def __call__(self, theta: Floats) -> Floats:
+        """Return the derivatives (N, K, n_outputs)."""
+        observed, own = self._observed, self._simulator.own
+        known, (values,) = observed.map.given.names, observed.quantities(theta[None])
+        if values[observed.map.of_inputs].tolist() != observed.nominal_inputs.tolist():
+            return self._differences(theta, range(theta.size))
+        found = np.zeros((theta.size, *self._simulator.experiment.output_values.shape))
+        outputs = self._model(theta[own])
+        if self._derivatives is not None:
+            found[own] = observed.changes(self._derivatives(theta[own]), values)
+        by_sensor = observed.derivatives(outputs, values)
+        for j, name in enumerate(self._simulator.parameters):
+            if name in known:
+                found[j] = by_sensor[known.index(name)]
+        moved = [j for j, name in enumerate(self._simulator.parameters) if name in known]
+        moved = [j for j in moved if observed.map.of_inputs[known.index(self._simulator.parameters[j])]]
+        found[moved] = self._differences(theta, moved)[moved] if moved else 0.0
+        return found
+
+    def _differences(self, theta: Floats, columns: Iterable[int]) -> Floats:
+        """Return central differences (N, K, n_outputs) of some columns."""
+        listed = list(columns)
+        found = np.zeros((theta.size, *self._simulator.experiment.output_values.shape))
+        steps = STEPS.observed * np.maximum(np.abs(theta), 1e-3)
+        moved = np.diag(steps)[listed]
+        above, below = np.split(self._simulator(np.vstack([theta + moved, theta - moved])), 2)
+        found[listed] = (above - below) / (2.0 * steps[listed, None, None])
+        return found
 
 
 class FmuSensitivities:
@@ -74,6 +119,8 @@ class SensitivitySteps:
     """Share of the change by which the two may differ, ..."""
     rounding: float = 1e-6
     """... and of an output: what the integration leaves in it."""
+    observed: float = 1e-4
+    """Of voltages behind their readings."""
     central: float = 2.0**-17
     """Of initial states."""
     twin: float = 2.0**-26

@@ -3,30 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fmuid.array_types import Floats
-from fmuid.data import Experiment
+from fmuid.data import Experiment, is_quantity
 from fmuid.errors import NO_EXPERIMENT, InputError, SimulationError, check_kind
 from fmuid.models import FMU, Isolation, Numerics, System
 from fmuid.simulation import codes
 from fmuid.simulation.executor_pool import close, executor_of
-from fmuid.simulation.plan_builder import simulation_of
-from fmuid.simulation.simulation_plan import SimulationJob
+from fmuid.simulation.observed import ObservedModel, Simulations
+from fmuid.simulation.plan_builder import converted_inputs, simulation_of
+from fmuid.simulation.simulation_plan import GridSimulation, SimulationJob
 from fmuid.simulation.simulation_task import Value, column_conversion, task_of
-
-
-@dataclass(frozen=True)
-class Simulations:
-    """Simulations of several thetas."""
-
-    outputs: Floats
-    """(m, K, n_outputs) in units of the data file; NaN after a failure."""
-    errors: tuple[SimulationError | None, ...]
 
 
 class Simulator:
@@ -92,7 +85,10 @@ class Simulator:
             raise InputError(f"parameter {sorted(repeated)[0]!r} is listed twice")
         self._values, self._divisor = dict(values or {}), divisor
         self._tolerance: float | None = None
-        targets = [(each, j) for j, name in enumerate(self.parameters) for each in self.system.targets(name)]
+        own = [j for j, each in enumerate(self.parameters) if each in self.system.variables or not is_quantity(each)]
+        self.own = np.array(own, np.intp)
+        """Elements of theta that the model takes; others are quantities of an observation, here or elsewhere."""
+        targets = [(each, j) for j in self.own.tolist() for each in self.system.targets(self.parameters[j])]
         self.target_names = names = [name for (name, _, _), _ in targets]
         """Variables set by theta."""
         self.columns = np.array([column for _, column in targets], np.intp)
@@ -101,7 +97,8 @@ class Simulator:
         held = self._held_values()
         self.settings = held, step_size
         """Held values by variables, and the largest step, s."""
-        self._simulation = simulation_of(task_of(self.system, experiment, names, held, step_size, divisor))
+        self._task = task_of(self.system, experiment.of_model, names, held, step_size, divisor)
+        self._simulation = simulation_of(self._task)
         self._executor = executor_of(self.system)
         self._conversions = self._output_conversions()
         fed = {*names, *held, *self.system.connected_inputs, *self.system.connectors}
@@ -115,6 +112,8 @@ class Simulator:
         """Return held values, those of connectors at their variables."""
         found: dict[str, Value] = {}
         for given, value in {**self._values, **self.experiment.values}.items():
+            if is_quantity(given) and given not in self.system.variables:
+                continue
             for name, factor, offset in self.system.targets(given):
                 plain = isinstance(value, bool | str) or (factor, offset) == (1.0, 0.0)
                 found[name] = value if plain else factor * float(value) + offset
@@ -122,16 +121,23 @@ class Simulator:
 
     def target_values(self, thetas: Floats) -> Floats:
         """Return the values of `target_names` for thetas (m, N)."""
-        if not self.system.connectors:
+        if not self.system.connectors and self.own.size == thetas.shape[1]:
             return thetas
         return np.ascontiguousarray(thetas[:, self.columns] * self.factors + self.offsets)
 
+    def _of_own(self, thetas: Floats) -> Floats:
+        """Return values of `target_names` for the model's own thetas (m, N)."""
+        whole = np.zeros((len(thetas), len(self.parameters)))
+        whole[:, self.own] = thetas
+        return self.target_values(whole)
+
     def _output_conversions(self) -> dict[int, tuple[float, float]]:
         found = {}
-        for j, name in enumerate(self.experiment.output_names):
+        experiment = self.experiment.of_model
+        for j, name in enumerate(experiment.output_names):
             _, factor, offset = self.system.targets(name)[0]
-            if name in self.experiment.units:
-                of_unit, shift = column_conversion(self.system, name, self.experiment.units[name])
+            if name in experiment.units:
+                of_unit, shift = column_conversion(self.system, name, experiment.units[name])
                 factor, offset = factor / of_unit, (offset - shift) / of_unit
             if (factor, offset) != (1.0, 0.0):
                 found[j] = factor, offset
@@ -177,11 +183,61 @@ class Simulator:
             )
         if not np.isfinite(given).all():
             raise InputError(f"theta must be finite ({self._names})")
-        job = self._simulation.job(self.target_values(given))
+        if self.observed is not None:
+            return self.observed.readings(given, self.own)
+        return self._simulate(self._simulation, self.target_values(given), given)
+
+    def _simulate(self, simulation: GridSimulation, values: Floats, given: Floats) -> Simulations:
+        """Simulate values of the targets (m, n); return outputs of the model."""
+        job = simulation.job(values)
         with self._executor.lock:
             self._executor.run(job)
             errors = self._explain(job, given)
         return Simulations(self.in_table_units(job.outputs), errors)
+
+    @cached_property
+    def observed(self) -> ObservedModel | None:
+        """The model with the map of the experiment's observation; None without one."""
+        made = self.experiment.sensor_map
+        if made is None:
+            return None
+        fixed = dict(zip(made.given.names, made.given.values, strict=True))
+        fixed |= {name: float(value) for name, value in self._values.items() if name in fixed}
+        return ObservedModel(
+            self.experiment, made, self._driven, self.parameters, np.array(list(fixed.values()), np.float64)
+        )
+
+    def model_at(self, theta: Floats) -> Simulator:
+        """Return `of_model` with the inputs that theta (N,) gives it: voltages behind readings, less drops."""
+        if self.observed is None:
+            return self
+        (values,), own = self.observed.quantities(theta[None]), self.experiment.of_model
+        if (values[self.observed.map.of_inputs] == self.observed.nominal_inputs).all():
+            return self.of_model
+        _, inputs = self.observed.driven(theta[self.own], values)
+        columns = [own.columns[name] for name in own.input_names]
+        return self.over(own.with_columns(dict(zip(columns, inputs.T, strict=True))))
+
+    def seen(self, changes: Floats, theta: Floats) -> Floats:
+        """Return changes of outputs (m, K, n_outputs) by the model's."""
+        if self.observed is None:
+            return changes
+        return self.observed.changes(changes, self.observed.quantities(theta[None])[0])
+
+    def _driven(self, thetas: Floats, inputs: Floats | None) -> Simulations:
+        """Simulate thetas (m, N) of the model, with other inputs if given."""
+        simulation = self._simulation
+        if inputs is not None:
+            task = replace(self._task, experiment=self._task.experiment.with_inputs(inputs))
+            values, slopes = converted_inputs(task)
+            grid = simulation.grid._replace(inputs=values, slopes=None if simulation.grid.slopes is None else slopes)
+            simulation = GridSimulation(simulation.plan, grid, simulation.output_names)
+        return self._simulate(simulation, self._of_own(thetas), thetas)
+
+    @cached_property
+    def of_model(self) -> Simulator:
+        """The simulator of the model's own variables, without sensors."""
+        return self if self.experiment.observation is None else self.over(self.experiment.of_model)
 
     def in_table_units(self, outputs: Floats) -> Floats:
         """Convert outputs (m, K, n_outputs) to the data file's units, in place."""
@@ -239,7 +295,8 @@ class Simulator:
     @property
     def output_factors(self) -> Floats:
         """Factors of outputs from FMU to data file (n_outputs,)."""
-        return np.array([self._conversions.get(j, (1.0, 0.0))[0] for j in range(len(self.output_names))])
+        count = len(self.experiment.of_model.output_names)
+        return np.array([self._conversions.get(j, (1.0, 0.0))[0] for j in range(count)])
 
     @property
     def _names(self) -> str:
@@ -252,8 +309,9 @@ class Simulator:
                 return (None,) * len(job)
             suspect = job.failed | ~np.isfinite(job.outputs.sum(axis=(1, 2)))
         errors: list[SimulationError | None] = [None] * len(job)
+        names = self.parameters if thetas.shape[1] == len(self.parameters) else [self.parameters[j] for j in self.own]
         for i in np.flatnonzero(suspect):
-            named = dict(zip(self.parameters, thetas[i].tolist(), strict=True))
+            named = dict(zip(names, thetas[i].tolist(), strict=True))
             explain = not any(errors)  # only the first: it costs another simulation
             errors[i] = self._executor.failure(job[i : i + 1], named, explain)
             if errors[i] is not None:

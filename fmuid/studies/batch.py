@@ -139,7 +139,7 @@ class MonteCarloSection(StudySection):
 
     def of(self, experiments: Sequence[ExperimentSettings], noise: Noise) -> Self:
         """Return the section with σ of every output."""
-        outputs = tuple(dict.fromkeys(name for given in experiments for name in given.outputs))
+        outputs = tuple(dict.fromkeys(name for given in experiments for name in given.output_names))
         given = self.std if isinstance(self.std, dict) else dict.fromkeys(outputs, self.std)
         for name in given:
             if name not in outputs:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -26,6 +27,7 @@ from fmuid.models import (
 from fmuid.simulation import MOST_STEPS, Value
 from fmuid.studies import value_kinds as kinds
 from fmuid.studies.array_elements import by_element
+from fmuid.studies.observation import ObservationSection
 from fmuid.studies.parameters import PriorSource, ResultValueSection
 from fmuid.studies.section import SectionLocation, Settings, StudySection, entry
 from fmuid.units import TIME_UNITS
@@ -33,7 +35,7 @@ from fmuid.units import TIME_UNITS
 if TYPE_CHECKING:
     import pandas as pd
 
-    from fmuid.data import Experiment
+    from fmuid.data import Experiment, Observation
 
 
 @dataclass(frozen=True)
@@ -235,7 +237,7 @@ class ExperimentSettings(StudySection):
     sample_rate: kinds.Positive | None = entry(None, "samples per second, for data without times")
     sheet: kinds.NameOrPlace | None = entry(None, "sheet, by name or number from 1; default: the first with data")
     inputs: kinds.Columns = entry({}, "measured inputs of the FMU")
-    outputs: kinds.Columns = entry(..., "measured outputs of the FMU")
+    outputs: kinds.Columns = entry({}, "measured outputs of the FMU; those of an observation are its sensors")
     interpolation: Annotated[Interpolation | Interpolations, kinds.BY_SHAPE] = entry(
         "linear", 'of inputs between samples; "zoh" for commands of a digital controller', "linear"
     )
@@ -248,6 +250,29 @@ class ExperimentSettings(StudySection):
         PreprocessSection(), "operations on the data before the fit"
     )
     units: kinds.Texts = entry({}, "units of columns, { variable = unit }; default: that of the file or the FMU")
+    observation: ObservationSection | None = entry(None, "phase signals of a machine in rotating axes")
+
+    @cached_property
+    def observed(self) -> Observation | None:
+        """Map of phase signals."""
+        return None if self.observation is None else self.observation.observation
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Outputs: variables of the FMU, and sensors."""
+        if self.observed is None:
+            return tuple(self.outputs)
+        others = (name for name in self.outputs if name not in self.observed.currents)
+        return (*others, *self.observed.current_sensors)
+
+    @property
+    def columns(self) -> list[str]:
+        """Columns of inputs, outputs and phase signals."""
+        found = [*self.inputs.values(), *self.outputs.values()]
+        if self.observed is not None:
+            axes = (*self.observed.currents, *self.observed.voltages) if self.observed.source == "dq" else ()
+            found += [*self.observed.columns, *(name for name in axes if name not in self.inputs | self.outputs)]
+        return list(dict.fromkeys(found))
 
     def read_experiment(self, table: Path, source: str | None = None, *, measured: bool = True) -> Experiment:
         """Read a data file as an experiment."""
@@ -265,13 +290,13 @@ class ExperimentSettings(StudySection):
         """Return the experiment of a frame; outputs that are not `measured` need no column."""
         from fmuid.data import Experiment, time_name
 
-        time, columns = time_name(self.time), self.inputs | self.outputs
+        time = time_name(self.time)
         given = self.interpolation
         words = given if isinstance(given, dict) else dict.fromkeys(self.inputs, given)
         between = {column: words.get(name, "linear") for name, column in self.inputs.items()}
-        frame = self.preprocess.applied(frame, time, source, columns.values(), between)
+        frame = self.preprocess.applied(frame, time, source, self.columns, between)
         other = {name: getattr(self, name) for name in ("interpolation", "units", "name")}
-        other |= {"warmup": self.warmup, "values": self.fixed}
+        other |= {"warmup": self.warmup, "values": self.fixed, "observation": self.observed}
         return Experiment(frame, self.inputs, self.outputs, time, **other, measured=measured, source=source)
 
 
@@ -280,7 +305,7 @@ def named(experiments: Sequence[ExperimentSettings], top: SectionLocation) -> tu
     found: dict[str, ExperimentSettings] = {}
     for each in experiments:
         name = each.name or each.data.stem
-        if not each.outputs:
+        if not each.output_names:
             raise each.error('no outputs. Name the measured ones, outputs = ["..."].')
         for output, column in each.outputs.items():
             if column in each.preprocess.fill_missing:

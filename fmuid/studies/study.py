@@ -267,7 +267,7 @@ class Study(HtmlTableMixin):
     @property
     def known_variance(self) -> dict[str, float]:
         """Known noise variance of each output: given, or that of prior results."""
-        outputs = tuple(dict.fromkeys(name for given in self.experiments for name in given.outputs))
+        outputs = tuple(dict.fromkeys(name for given in self.experiments for name in given.output_names))
         found = [each for source in self.sources for each in source.result.fit.noise_variance.items()]
         known = {name: variance for name, variance in found if name in outputs}
         given = self.noise.known(outputs)

@@ -16,7 +16,7 @@ from fmuid.errors import InputError, SimulationError
 from fmuid.estimation import Result
 from fmuid.identification import Problem, identify, predict_by_model, prediction
 from fmuid.simulation import Simulator
-from fmuid.simulation.simulator import Simulations
+from fmuid.simulation.observed import Simulations
 from tests.support.paths import FMUS
 from tests.support.results import changed
 

@@ -94,7 +94,7 @@ def _study(study: Study) -> str:
         "start": [f"{each.start:.6g}" for each in rows],
         "bounds": [f"{each.min:.6g} to {each.max:.6g}" for each in rows],
     }
-    files = (f"{each.name} ({', '.join(each.inputs)} → {', '.join(each.outputs)})" for each in study.experiments)
+    files = (f"{each.name} ({', '.join(each.inputs)} → {', '.join(each.output_names)})" for each in study.experiments)
     return _titled(study.title, ", ".join(files), table_of(columns))
 
 

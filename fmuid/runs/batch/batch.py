@@ -182,7 +182,7 @@ class Batch(HtmlTableMixin):
                 self.dataset.compact()
             names = tuple(dict.fromkeys([*self.cases.names, *self.cases.settings.swept]))
             units = parameter_units(self.study.system, names)
-            outputs = tuple(dict.fromkeys(name for given in self.study.experiments for name in given.outputs))
+            outputs = tuple(dict.fromkeys(name for given in self.study.experiments for name in given.output_names))
             return BatchResult(
                 self.dataset,
                 int(self.dataset.finished().sum()),

@@ -57,7 +57,7 @@ class CaseRunner:
         self.study, self.cases = study, CaseList(study)
         self._originals = originals or {}  # the user's names of copied files, for messages
         self._drawn, self._seed = self.cases.settings.monte_carlo, self.cases.settings.seed
-        self._outputs = tuple(dict.fromkeys(name for given in study.experiments for name in given.outputs))
+        self._outputs = tuple(dict.fromkeys(name for given in study.experiments for name in given.output_names))
         self._tables = lru_cache(SYSTEMS_KEPT)(self._read)
         self._truths = lru_cache(SYSTEMS_KEPT)(self._simulated_truth)
         self._before: tuple[object, Problem] | None = None  # what the case before had to be simulated, and its problem

@@ -123,6 +123,6 @@ def check_model(study: Study, settings: BatchSettings, subsets: Sequence[Sequenc
 
 def _unmeasured(given: ExperimentSettings, rows: int) -> Experiment:
     """Return an experiment without data: inputs at rest, names of the outputs."""
-    columns = dict.fromkeys(given.inputs.values(), 0.0)
+    columns = dict.fromkeys([*given.inputs.values(), *([] if given.observed is None else given.columns)], 0.0)
     frame = pd.DataFrame({time_name(given.time): np.arange(rows, dtype=np.float64)} | columns)
     return given.model_copy(update={"warmup": 0.0}).experiment(frame, str(given.data), measured=False)

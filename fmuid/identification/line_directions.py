@@ -1,0 +1,71 @@
+"""Errors of line voltages: gains and offsets of their columns, joints, dead time; as changes of the axes' voltages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmuid.array_types import Floats
+from fmuid.data import LINES, SensorMap
+from fmuid.identification.model_errors import ErrorKind
+
+
+@dataclass(frozen=True, eq=False)
+class LineError:
+    """One unit of an error of line voltages.
+
+    Attributes
+    ----------
+    kind : ErrorKind
+    subject : tuple of str
+    unit : str
+    size : float
+        Magnitude of which usual errors are a share.
+    change : (K, 2) array
+        Of the voltages of the axes, V.
+    """
+
+    kind: ErrorKind
+    subject: tuple[str, ...]
+    unit: str
+    size: float
+    change: Floats
+
+
+def is_estimated(kind: ErrorKind, subject: tuple[str, ...], parameters: tuple[str, ...]) -> bool:
+    """Return True if a parameter is the size of this error."""
+    if kind is ErrorKind.DEAD_TIME:
+        return "dead_time_voltage" in parameters
+    if kind is ErrorKind.JOINT:
+        return any(name.startswith("phase_resistance(") for name in parameters)
+    own = kind.value.removeprefix("input_").replace("advance", "delay")
+    return len(subject) == 1 and f"{own}({subject[0]})" in parameters
+
+
+def line_errors(made: SensorMap, currents: Floats) -> Iterator[LineError]:
+    """Yield errors of line voltages at simulated currents (K, 2)."""
+    columns, names = made.given.voltage_columns, made.given.names
+    lines, nominal = made.lines(np.array(made.given.values)), np.zeros(len(names))
+    sensors = {line: name for name, line in made.given.current_sensors.items()}
+    currents_of_lines = tuple(sensors.get(k, f"current {line}") for k, line in enumerate(LINES))
+    voltage, current = (max(float(np.sqrt(np.mean(each**2))), 1e-300) for each in (lines, currents))
+
+    def drop(name: str) -> Floats:
+        values = nominal.copy()
+        values[names.index(name)] = 1.0
+        return made.axes(-made.drop(values, currents))
+
+    for k, column in enumerate(columns):
+        own = np.zeros_like(lines)
+        own[:, k] = lines[:, k]
+        yield LineError(ErrorKind.INPUT_GAIN, (column,), "", 1.0, made.axes(own))
+        own[:, k] = 1.0
+        yield LineError(ErrorKind.INPUT_OFFSET, (column,), "V", voltage, made.axes(own))
+    for column, line in zip(columns, LINES, strict=False):
+        name = f"phase_resistance({line})"
+        yield LineError(ErrorKind.JOINT, (column,), "Ohm", voltage / current, drop(name))
+    if columns:
+        subject = (*columns, *currents_of_lines)
+        yield LineError(ErrorKind.DEAD_TIME, subject, "V", voltage, drop("dead_time_voltage"))
