@@ -150,6 +150,7 @@ def test_fmu_without_reset_or_second_instance_is_simulated_once(
 
 def test_interruption_ends_the_simulations_of_other_threads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The caller's own share is interrupted while another thread is in a simulation that takes for ever."""
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
     path = hybrid_fmu(tmp_path, "van_der_pol", attributes='canBeInstantiatedOnlyOncePerProcess="false"')
     system = System(path, numerics=Numerics("model-exchange", "rk4", step_size=1e-9))
     simulator = Simulator(system, record([0.0, 1e5], ["x0"]), ["start0"], values={"p0": 1.0})
