@@ -9,8 +9,6 @@ from .data_file import read_data as read_data
 from .data_file import record_files as record_files
 from .data_file import tables_in as tables_in
 from .experiment import Experiment as Experiment
-from .experiment import MeasuredSeries as MeasuredSeries
-from .experiment import measured_series as measured_series
 from .filters import dropouts as dropouts
 from .filters import evenly as evenly
 from .filters import extremes as extremes
@@ -20,6 +18,8 @@ from .losses import LOSSES as LOSSES
 from .losses import Loss as Loss
 from .losses import get_loss as get_loss
 from .losses import robust_variance as robust_variance
+from .measured_series import MeasuredSeries as MeasuredSeries
+from .measured_series import measured_series as measured_series
 from .noise import Noise as Noise
 from .noise import noise_levels as noise_levels
 from .npz import read_arrays as read_arrays
@@ -29,6 +29,10 @@ from .observation import Angle as Angle
 from .observation import Observation as Observation
 from .observation import Sensor as Sensor
 from .observation import is_quantity as is_quantity
+from .operating_points import ROW as ROW
+from .operating_points import RotatingFrame as RotatingFrame
+from .operating_points import SteadyExperiment as SteadyExperiment
+from .operating_points import with_rows as with_rows
 from .parameters import Parameter as Parameter
 from .parameters import ParameterSet as ParameterSet
 from .preprocessing import ParkTransform as ParkTransform

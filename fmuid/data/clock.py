@@ -17,6 +17,7 @@ from fmuid.errors import InputError
 from fmuid.formatting import nearest
 from fmuid.units import SECONDS, TIME_UNITS
 
+REMEDY = 'Name it, give sample_rate, or set kind = "steady" for rows without times.'
 _LISTED_NAMES = 12
 """Names listed in a message."""
 _WITH_SUFFIX = re.compile(rf"(.*\S)[_ ]({'|'.join(SECONDS)})", re.IGNORECASE)
@@ -99,7 +100,7 @@ def _column(raw: RawTable, time: str | int, source: str) -> str:
             return "T"
         if names[0] == "" and _are_times(raw.frame[""], source):  # an index of pandas
             return ""
-    raise InputError(f"{source}: {missing_column('time', time, names, 'Name it, or give sample_rate.')}")
+    raise InputError(f"{source}: {missing_column('time', time, names, REMEDY)}")
 
 
 def column_of(columns: Iterable[object], wanted: str) -> str | None:

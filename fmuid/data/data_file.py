@@ -29,7 +29,7 @@ UNITS, BEGIN, SOURCE = "units", "begin", "source"
 
 def read_data(
     path: Path | str,
-    time: str | int = "time",
+    time: str | int | None = "time",
     *,
     time_unit: str | None = None,
     sample_rate: float | None = None,
@@ -56,8 +56,9 @@ def read_data(
     ----------
     path : Path or str
         Data file.
-    time : str or int
+    time : str, int or None
         Name of the time column, or its place from 1. ``"time"`` also stands for ``t``, ``Time (ms)`` and the like.
+        None: rows without a time, as of steady states.
     time_unit : str, optional
         s, ms, us, ns, min, h or d. Default: the unit in the file, else s.
     sample_rate : float, optional
@@ -106,8 +107,10 @@ def read_data(
         raw = _raw_table(read_binary(path, source, sheet), source)
     if len(raw.frame) == 0:
         raise InputError(f"{source}: no samples below the header. Give measured samples.")
-    frame, begin = with_time(raw, time, time_unit, sample_rate, source)
-    numeric_column(frame, time_name(time), source)
+    frame, begin = raw.frame, None
+    if time is not None:
+        frame, begin = with_time(raw, time, time_unit, sample_rate, source)
+        numeric_column(frame, time_name(time), source)
     others = set(raw.frame.columns) & set(frame.columns) - {time}
     frame.attrs = {UNITS: {name: unit for name, unit in raw.units.items() if name in others}, SOURCE: source}
     if begin is not None:

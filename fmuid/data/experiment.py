@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -80,6 +79,8 @@ class Experiment(HtmlTableMixin):
     Experiment('experiment', 3 samples, 0 to 0.2 s, u → i)
     """
 
+    # what a row is: a sample in time, or as in `fmuid.data.SteadyExperiment`; without annotation these are no fields
+    kind, least_rows = "time", 2
     frame: pd.DataFrame
     inputs: Sequence[str] | Mapping[str, str] = ()
     outputs: Sequence[str] | Mapping[str, str] = ()
@@ -96,10 +97,15 @@ class Experiment(HtmlTableMixin):
     output_values: Floats = field(init=False, repr=False)
     counted: Flags = field(init=False, repr=False)
 
+    @property
+    def design(self) -> str:
+        """Everything that a kind of experiments adds, as text."""
+        return ""
+
     @cached_property
     def times(self) -> Floats:
         """Times (K,), s."""
-        return _frozen(_times(self.source, self.frame, self.time))
+        return _frozen(_times(self.source, self.frame, self.time, self.least_rows))
 
     @cached_property
     def sensor_map(self) -> SensorMap | None:
@@ -161,7 +167,7 @@ class Experiment(HtmlTableMixin):
             for column in columns:
                 if column not in frame.columns:
                     raise InputError(f"{source}: {missing_column(role, column, frame.columns)}")
-        times = _times(source, frame, self.time)
+        times = _times(source, frame, self.time, self.least_rows)
         output_values = _values(source, frame, times, "output", outputs, there)
         words = interpolation_words(source, self.interpolation, inputs)
         if inputs and self.measured:
@@ -182,7 +188,9 @@ class Experiment(HtmlTableMixin):
         word = words if isinstance(words, str) else words.get(next(iter(given.voltages), ""), "linear")
         if word == "zoh-next":
             raise InputError(f'{source}: interpolation: phase voltages cannot be "zoh-next". Use "zoh" or "linear".')
-        found = observed_table(given, source, frame, _times(source, frame, self.time), (inputs, outputs), word in HELD)
+        found = observed_table(
+            given, source, frame, _times(source, frame, self.time, self.least_rows), (inputs, outputs), word in HELD
+        )
         self._set(sensor_map=found.map)
         return found.frame, found.inputs, found.outputs
 
@@ -260,37 +268,6 @@ class Experiment(HtmlTableMixin):
             object.__setattr__(self, name, _frozen(value) if isinstance(value, np.ndarray) else value)
 
 
-@dataclass(frozen=True)
-class MeasuredSeries:
-    """The samples of one output of one experiment that count.
-
-    Attributes
-    ----------
-    unit : str
-        Of the samples, "" where it is the model's.
-    digest : str
-        Of their times and values, as the table has them: equal for equal samples, whatever output they are taken for.
-    """
-
-    experiment: str
-    output: str
-    unit: str
-    samples: int
-    digest: str
-
-
-def measured_series(experiment: Experiment) -> tuple[MeasuredSeries, ...]:
-    """Return the series of an experiment, one an output."""
-    found = []
-    for j, output in enumerate(experiment.output_names):
-        counted = experiment.counted[:, j]
-        samples = np.empty((np.count_nonzero(counted), 2), "<f8")
-        samples[:, 0], samples[:, 1] = experiment.times[counted], experiment.output_values[counted, j]
-        digest = hashlib.sha256(samples.data).hexdigest()[:16]  # equal by chance once in 10^19
-        found.append(MeasuredSeries(experiment.name, output, experiment.units.get(output, ""), len(samples), digest))
-    return tuple(found)
-
-
 def _frozen(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
     values.setflags(write=False)
     return values
@@ -323,7 +300,7 @@ def _frame(source: str, given: pd.DataFrame, time: str) -> pd.DataFrame:
     return frame
 
 
-def _times(source: str, frame: pd.DataFrame, time: str) -> Floats:
+def _times(source: str, frame: pd.DataFrame, time: str, least: int) -> Floats:
     """Return the checked time column."""
     times = np.array(numeric_column(frame, time, source))
     column = f"{source}: time column {time!r}"
@@ -340,7 +317,7 @@ def _times(source: str, frame: pd.DataFrame, time: str) -> Floats:
     if thrice.size:
         said = f"{times[thrice[0]]:.9g} s more than twice from row {thrice[0] + 1}"
         raise InputError(f"{column}: {said}. Keep the rows before and after the step.")
-    if times.size < 2 or times[0] == times[-1]:
+    if times.size < least or (times.size > 1 and times[0] == times[-1]):
         raise InputError(f"{column}: fewer than two different times. Give longer data.")
     return times
 

@@ -285,7 +285,8 @@ def _check_inside(problem: LeastSquares, theta: Floats) -> None:
 def _expected_std(problem: LeastSquares, jacobian: Floats, variance: Floats) -> Floats:
     """Return the expected standard deviations (N,) of the estimates."""
     rows, unit = jacobian * problem.parameters.scale, problem.parameters.scale
-    rows[: problem.groups.size] *= (np.sqrt(variance) / problem.shown_noise)[problem.groups][:, None]
+    noise = np.where(np.isnan(problem.shown_noise), np.sqrt(variance), problem.shown_noise)
+    rows[: problem.groups.size] *= (np.sqrt(variance) / noise)[problem.groups][:, None]
     _, values, directions = np.linalg.svd(rows, full_matrices=False)
     with np.errstate(divide="ignore"):
         return np.asarray(unit * np.linalg.norm(directions / values[:, None], axis=0))

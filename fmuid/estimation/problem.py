@@ -250,11 +250,14 @@ class LeastSquares:
 
     @cached_property
     def shown_noise(self) -> Floats:
-        """Noise level (n_outputs,) from second differences of the data."""
-        squares, counts = np.zeros((2, self.counts.size))
+        """Noise level (n_outputs,) from second differences of the data; NaN without samples in time."""
+        squares, counts, in_time = *np.zeros((2, self.counts.size)), np.zeros(self.counts.size, dtype=np.bool_)
         for experiment, tables in zip(self.experiments, self.tables(self.measured), strict=True):
+            if experiment.kind != "time":
+                continue
             for name, values, counted in zip(experiment.output_names, tables.T, experiment.counted.T, strict=True):
                 j, own = self.output_names.index(name), np.where(counted, values, np.nan)
+                in_time[j] = True
                 size, found = int(counted.sum()), second_difference_noise(experiment.times, own)
                 if math.isfinite(found):
                     squares[j] += size * found**2
@@ -262,7 +265,7 @@ class LeastSquares:
         # constant or stepped outputs: rounding of the largest value
         floor = [1e-9 * float(np.max(np.abs(self.measured[self.groups == j]))) for j in range(counts.size)]
         with np.errstate(invalid="ignore", divide="ignore"):
-            return np.fmax(np.sqrt(squares / counts), np.maximum(floor, 1e-300))
+            return np.where(in_time, np.fmax(np.sqrt(squares / counts), np.maximum(floor, 1e-300)), np.nan)
 
     @cached_property
     def periods(self) -> dict[str, float]:

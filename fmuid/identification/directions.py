@@ -18,7 +18,7 @@ from fmuid.estimation import LeastSquares, Result
 from fmuid.identification.line_directions import is_estimated, line_errors
 from fmuid.identification.linearized_record import Forcing, LinearizedRecord, both_ends
 from fmuid.identification.model_errors import CHANGING, Direction, ErrorKind
-from fmuid.simulation import Simulator
+from fmuid.simulation import AnySimulator, Simulator
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,9 @@ class _Column:
     value: float = math.nan  # of a fixed parameter
 
 
-def model_directions(problem: LeastSquares, simulators: Sequence[Simulator], result: Result) -> tuple[Direction, ...]:
+def model_directions(
+    problem: LeastSquares, simulators: Sequence[AnySimulator], result: Result
+) -> tuple[Direction, ...]:
     """Return the directions of model errors at a result."""
     local = result.fit.linearization
     assert local is not None, "a result from a file has no linearization"
@@ -63,6 +65,8 @@ def model_directions(problem: LeastSquares, simulators: Sequence[Simulator], res
     found: dict[tuple[ErrorKind, tuple[str, ...]], dict[int, _Column]] = {}
     slopes = [problem.tables(problem.unscaled(column)) for column in jacobian.T]
     for index, simulator in enumerate(simulators):
+        if not isinstance(simulator, Simulator):
+            continue
         columns = problem.parameters.for_experiment(index)[1]
         own = np.array([slopes[i][index] for i in columns])
         for each in _columns(simulator, theta[columns], simulated[index], own, len(problem.experiments)):

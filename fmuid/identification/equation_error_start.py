@@ -22,7 +22,7 @@ from fmuid.errors import FmuidError, InputError
 from fmuid.estimation import Evaluator, LeastSquares, Marquardt, WeakForm, second_difference_noise, sobol_points
 from fmuid.identification.linearized_record import both_ends
 from fmuid.identification.problem import Problem
-from fmuid.simulation import RightHandSide
+from fmuid.simulation import RightHandSide, Simulator
 
 
 @dataclass(frozen=True)
@@ -70,6 +70,8 @@ class _WeakRecord:
     @classmethod
     def of(cls, problem: Problem, index: int, start: Floats) -> _WeakRecord | None:
         simulator, experiment = problem.simulators[index], problem.experiments[index].of_model
+        if not isinstance(simulator, Simulator):  # of steady states: there are no slopes
+            return None
         side = RightHandSide.of(simulator)
         if side is None:
             raise InputError("the model has no accessible right-hand side.")

@@ -84,7 +84,8 @@ def identify(
         strategies.append(search_combinations)
     if restart and not method.whole_box and not problem.corrected:
         strategies.append(search_starting_points)
-    if solver_check != "off" and not problem.corrected:
+    in_time = any(each.kind == "time" for each in problem.experiments)  # steady states have no solver error
+    if solver_check != "off" and not problem.corrected and in_time:
         strategies.append(partial(check_solver, refine=solver_check == "refine"))
     found = walk(strategies, Trial(evaluator.of(problem), method, progress, start))
     setup = replace(found.setup, made_with=problem.made_with, observer=problem.observer)

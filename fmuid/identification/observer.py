@@ -47,8 +47,8 @@ def _observed(problem: Problem, index: int, samples: float) -> Simulator:
     simulator, experiment = problem.simulators[index], problem.experiments[index]
     if experiment.observation is not None:
         raise InputError(f"an observer excludes an observation. Remove one from {experiment.source}.")
-    side = RightHandSide.of(simulator)
-    if side is None:
+    side = RightHandSide.of(simulator) if isinstance(simulator, Simulator) else None
+    if side is None or not isinstance(simulator, Simulator):
         raise InputError("an observer needs a single FMU with Model Exchange and accessible states.")
     if len(simulator.output_names) != 1:
         raise InputError(f"an observer needs one output; {experiment.source} has {len(simulator.output_names)}.")

@@ -32,7 +32,15 @@ from fmuid.identification.problem import ModelReference, Problem, refinement_of
 from fmuid.identification.residual_analysis import ResidualAnalysis
 from fmuid.identification.residual_series import examine_outputs
 from fmuid.models import FMU, System
-from fmuid.simulation import OutputFit, Simulator, Value, column_conversion, fit_of, refined
+from fmuid.simulation import (
+    AnySimulator,
+    OutputFit,
+    Value,
+    finer_simulator,
+    fit_of,
+    output_factor,
+    simulator_of,
+)
 
 LARGEST_STEP = 1e-2  # of differences, relative to the magnitude; smaller σ are the step
 
@@ -237,7 +245,7 @@ class _Record:
         """Return the noise level in the recording's unit, NaN if unknown."""
         first = next((series.unit for series in self.result.setup.data if series.output == output), "")
         here = self.experiment.units.get(output, "")
-        factors = [column_conversion(self.system, output, unit)[0] if unit else 1.0 for unit in (first, here)]
+        factors = [output_factor(self.system, output, unit) if unit else 1.0 for unit in (first, here)]
         return math.sqrt(self.result.fit.variance.get(output, math.nan)) * abs(factors[0] / factors[1])
 
     def estimate(self) -> Result:
@@ -256,14 +264,14 @@ class _Record:
 
     def predicted(self, again: Result | None, level: float) -> Prediction:
         experiment, names = self.experiment, (*self.names, *self.free)
-        simulator = Simulator(self.system, experiment, names, values=self.held, step_size=self.step_size)
+        simulator = simulator_of(self.system, experiment, names, self.held, self.step_size)
         point = self.theta if again is None else np.concatenate([self.theta, again.values])
         covariance = self.result.covariance[np.ix_(self.at, self.at)]
         own = np.zeros((0, 0)) if again is None else again.covariance
         scatter = np.sqrt(np.concatenate([np.diag(covariance), np.diag(own)]))
         lost = tuple(names[i] for i in np.flatnonzero(~np.isfinite(scatter)))
         steps = self._steps(point, np.zeros_like(scatter) if lost else scatter)
-        simulated, slopes = _slopes(refined(simulator, self.system, self.finer), point, steps)
+        simulated, slopes = _slopes(finer_simulator(simulator, self.system, self.finer), point, steps)
         std = np.full(simulated.shape, np.nan) if lost else self._std(slopes, covariance, own)
         variance = np.broadcast_to(self.noise_std, std.shape) ** 2 + np.where(np.isnan(std), 0.0, std) ** 2
         fit = fit_of(self.system, experiment, simulated)
@@ -293,7 +301,7 @@ class _Record:
         return np.asarray(np.sqrt(parts[0] + parts[1]), dtype=np.float64)
 
 
-def _slopes(simulator: Simulator, point: Floats, steps: Floats) -> tuple[Floats, Floats]:
+def _slopes(simulator: AnySimulator, point: Floats, steps: Floats) -> tuple[Floats, Floats]:
     """Return outputs (K, n) and their slopes (K, n, p); one-sided beside failures."""
     moved = np.flatnonzero(steps > 0)
     offsets = np.diag(steps)[moved]

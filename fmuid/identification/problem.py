@@ -19,13 +19,15 @@ from fmuid.identification.model_errors import Direction
 from fmuid.models import FMU, System
 from fmuid.simulation import (
     AS_ASKED,
+    AnySimulator,
     Refinement,
     Simulator,
     Value,
     derivatives_of,
+    finer_simulator,
     how_run,
     parameter_units,
-    refined,
+    simulator_of,
 )
 
 MAX_COMBINATIONS = 1000  # of discrete parameters; each needs an optimization
@@ -83,7 +85,7 @@ class Problem(LeastSquares):
         Fixed variables, with the first or the chosen values of the `choices` (`holding`).
     refinement : Refinement
         Solver refinement (`finer`).
-    predictors : tuple of Simulator
+    predictors : tuple of Simulator or PointSimulator
         One an experiment.
     observer : float or None
         Time constant of an observer, in samples (`fmuid.identification.with_observer`).
@@ -145,8 +147,8 @@ class Problem(LeastSquares):
 
     def _lay_out(
         self, experiments: Sequence[Experiment], names: tuple[str, ...], held: Mapping[str, Value]
-    ) -> list[Simulator]:
-        return [Simulator(self.system, each, names, values=held, step_size=self.step_size) for each in experiments]
+    ) -> list[AnySimulator]:
+        return [simulator_of(self.system, each, names, held, self.step_size) for each in experiments]
 
     def finer(self, refinement: Refinement) -> Self:
         """Return this problem with a solver refinement.
@@ -158,7 +160,8 @@ class Problem(LeastSquares):
         """
         if refinement == self.refinement:
             return self
-        return self._by([refined(each, self.system, refinement) for each in self.simulators], refinement=refinement)
+        finer = [finer_simulator(each, self.system, refinement) for each in self.simulators]
+        return self._by(finer, refinement=refinement)
 
     def holding(self, values: Mapping[str, Value]) -> Self:
         """Return this problem with other fixed values, without solver refinement."""
@@ -181,7 +184,7 @@ class Problem(LeastSquares):
         return self._by([each.over(each.experiment) for each in self.simulators])
 
     def simulated_by(
-        self, simulators: Sequence[Simulator], parameters: ParameterSet | None = None, observer: float | None = None
+        self, simulators: Sequence[AnySimulator], parameters: ParameterSet | None = None, observer: float | None = None
     ) -> Self:
         """Return this problem with other simulators and bounds, with finite differences.
 
@@ -195,7 +198,7 @@ class Problem(LeastSquares):
         chosen = self.holding(result.chosen) if result.chosen else self
         return chosen if result.accuracy is None else chosen.finer(refinement_of(result))
 
-    def _by(self, simulators: Sequence[Simulator], **changed: Any) -> Self:
+    def _by(self, simulators: Sequence[AnySimulator], **changed: Any) -> Self:
         derivatives = tuple(_derivatives(simulators, changed.get("sensitivity", self.sensitivity)))
         return self._with(predictors=tuple(simulators), derivatives=derivatives, **changed)
 
@@ -210,7 +213,7 @@ class Problem(LeastSquares):
         parts += [self.values, self.step_size, self.refinement, self.sensitivity, self.parameters.names]
         found, bounds = hashlib.sha256(repr(parts).encode()), (self.parameters.lower, self.parameters.upper)
         for experiment, kept in zip([each.experiment for each in self.simulators], self.kept, strict=True):
-            given = experiment.output_names, experiment.input_names, experiment.interpolation
+            given = experiment.output_names, experiment.input_names, experiment.interpolation, experiment.design
             found.update(
                 repr((*given, dict(experiment.units), dict(experiment.values), experiment.observation)).encode()
             )
@@ -256,9 +259,9 @@ class Problem(LeastSquares):
         return run_fields(self.system, self.refinement, stiff)
 
     @property
-    def simulators(self) -> tuple[Simulator, ...]:
+    def simulators(self) -> tuple[AnySimulator, ...]:
         """Simulators of the experiments, one each."""
-        return cast(tuple[Simulator, ...], self.predictors)
+        return cast(tuple[AnySimulator, ...], self.predictors)
 
     @property
     def corrected(self) -> bool:
@@ -290,8 +293,14 @@ def refinement_of(result: Result) -> Refinement:
     return AS_ASKED if used is None else Refinement(used.tolerance, used.divisor)
 
 
-def _derivatives(simulators: Sequence[Simulator], sensitivity: str) -> list[Callable[[Floats], Floats]]:
-    return [] if sensitivity == "finite-difference" else [derivatives_of(each, sensitivity) for each in simulators]
+def _derivatives(simulators: Sequence[AnySimulator], sensitivity: str) -> list[Callable[[Floats], Floats]]:
+    if sensitivity == "finite-difference":
+        return []
+    for each in simulators:
+        if not isinstance(each, Simulator):
+            why = f"experiment {each.experiment.name!r} has no time"
+            raise InputError(f'jacobian: {sensitivity!r}: {why}. Use "finite-difference".')
+    return [derivatives_of(each, sensitivity) for each in simulators if isinstance(each, Simulator)]
 
 
 def choices_of(system: System, given: Mapping[str, Sequence[Value] | str]) -> dict[str, tuple[Value, ...]]:

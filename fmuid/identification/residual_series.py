@@ -176,7 +176,7 @@ def examine_outputs(
         model = NoiseModel.of(own, values) if models is None else models[index]
         found.append(ResidualSeries(model, experiment.times, residual, float(values.mean()), float(values.std())))
         rounding = RESIDUAL_SETTINGS.rounding_share * float(np.sqrt(np.mean(measured[counted] ** 2)))
-        if values.size >= RESIDUAL_SETTINGS.least_samples and found[-1].std > rounding:
+        if own.ordered and values.size >= RESIDUAL_SETTINGS.least_samples and found[-1].std > rounding:
             left = FitProjection.nothing(values.size) if taken is None else taken.of(own.rows)
             found[-1] = _tested(found[-1], values if scale is None else values / scale[own.rows], left)
     related = _related(experiment, [each for each in found if each.is_tested])

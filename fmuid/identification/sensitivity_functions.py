@@ -18,7 +18,7 @@ from fmuid.data import Experiment, Parameter, ParameterSet
 from fmuid.errors import InputError
 from fmuid.estimation import parabola_slope
 from fmuid.models import System
-from fmuid.simulation import Simulator, Value
+from fmuid.simulation import Value, output_unit, simulator_of
 
 STEP = 1e-3  # of central differences, relative to the magnitude; their error is of its square
 SINGULAR = 1e-11  # least information of an identifiable direction, relative; errors of differences leave STEP⁴
@@ -97,7 +97,7 @@ def sensitivity_functions(
         If a simulation fails.
     """
     flat = ParameterSet(parameters, [experiment.name])
-    simulator = Simulator(model, experiment, tuple(parameters), values=values or {})
+    simulator = simulator_of(model, experiment, tuple(parameters), values or {})
     magnitudes = flat.reach(flat.start)
     # beside a bound both points lie on the other side of it
     offsets = np.tile([-1.0, 1.0], (len(flat), 1))
@@ -110,7 +110,7 @@ def sensitivity_functions(
     a, b = STEP * offsets[:, 0, None, None], STEP * offsets[:, 1, None, None]
     low, high = outputs[1::2] - outputs[0], outputs[2::2] - outputs[0]
     slopes = parabola_slope(low, high, a, b)
-    units = tuple(experiment.units.get(name) or model.unit(name) or "" for name in experiment.output_names)
+    units = tuple(output_unit(model, experiment, name) or "" for name in experiment.output_names)
     return SensitivityFunctions(
         experiment.name,
         experiment.times,

@@ -183,8 +183,10 @@ class _Restarts:
         points[:, narrow] = parameters.lower[narrow] + units[:, narrow] * width[narrow]
         points = np.clip(points, parameters.lower, parameters.upper)
         predicted = self.evaluator.predict(points)
-        with np.errstate(over="ignore", invalid="ignore"):
-            squares = ((predicted - self.problem.measured) / self.problem.shown_noise[self.problem.groups]) ** 2
+        noise = self.problem.shown_noise[self.problem.groups]
+        noise = np.where(np.isnan(noise), np.abs(self.problem.measured), noise)  # without a time: relative errors
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            squares = ((predicted - self.problem.measured) / noise) ** 2
         squared = np.minimum(np.nan_to_num(squares, nan=np.inf), SETTINGS.largest_square).sum(axis=1)
         best = np.argsort(squared, kind="stable")[: SETTINGS.best_points]
         yield from (points[i] for i in best if np.isfinite(predicted[i]).all())
@@ -288,6 +290,8 @@ def _near(problem: Problem, start: Floats) -> ParameterSet:
 def _corrected(problem: Problem, index: int, start: Floats) -> tuple[Simulator, Simulator] | None:
     """Return simulators with corrections and without, None without states."""
     simulator = problem.simulators[index]
+    if not isinstance(simulator, Simulator):
+        return None
     try:
         side = RightHandSide.of(simulator)
         if side is None or simulator.observed is not None:

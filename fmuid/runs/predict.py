@@ -31,7 +31,7 @@ from fmuid.models import FMU, System
 from fmuid.runs.findings import CommonTables, ComparedEstimate, ComparisonRun, Fold, PredictionRun
 from fmuid.runs.folder import RESULT_FILE, read_identification
 from fmuid.runs.provenance import digests, made_from, made_now, result_path, study_of
-from fmuid.simulation import OutputFit, Simulator, Value, fit_of, refined
+from fmuid.simulation import OutputFit, Value, finer_simulator, fit_of, simulator_of
 from fmuid.studies import PriorSource, SourceWarning, Study
 
 
@@ -78,8 +78,8 @@ def fits_at(study: Study, result: Result) -> tuple[OutputFit, ...]:
         values = {name: parameter.start for name, parameter in study.parameters.items()}
         values |= {variable: result[name] for variable, name in known.items()}
         held = {name: value for name, value in study.model.values.items() if name not in values}
-        simulator = Simulator(study.system, table, tuple(values), values=held)
-        simulator = refined(simulator, study.system, refinement_of(result))
+        simulator = simulator_of(study.system, table, tuple(values), held)
+        simulator = finer_simulator(simulator, study.system, refinement_of(result))
         found.append(fit_of(study.system, table, simulator(list(values.values()))))
     return tuple(found)
 

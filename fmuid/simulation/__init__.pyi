@@ -12,6 +12,12 @@ from .output_fit import fit_of as fit_of
 from .output_fit import nrmse_fit as nrmse_fit
 from .output_fit import parameter_units as parameter_units
 from .output_fit import root_mean_square as root_mean_square
+from .point_simulator import PointSimulator as PointSimulator
+from .predictors import AnySimulator as AnySimulator
+from .predictors import finer_simulator as finer_simulator
+from .predictors import output_factor as output_factor
+from .predictors import output_unit as output_unit
+from .predictors import simulator_of as simulator_of
 from .right_hand_side import RightHandSide as RightHandSide
 from .sensitivities import derivatives_of as derivatives_of
 from .simulation_plan import MOST_STEPS as MOST_STEPS

@@ -12,6 +12,7 @@ import pandas as pd
 
 from fmuid.array_types import Flags, Floats
 from fmuid.codec import Layout
+from fmuid.simulation.predictors import output_unit
 
 if TYPE_CHECKING:
     from fmuid.data import Experiment
@@ -96,7 +97,7 @@ def root_mean_square(measured: Floats, simulated: Floats) -> float:
 def fit_of(system: System, experiment: Experiment, simulated: Floats) -> OutputFit:
     """Return simulated outputs (K, n_outputs) with the measured ones."""
     names = experiment.output_names
-    units = tuple(experiment.units.get(name, system.unit(name)) for name in names)
+    units = tuple(output_unit(system, experiment, name) for name in names)
     return OutputFit(
         experiment.name, experiment.times, names, units, experiment.output_values, simulated, experiment.counted
     )

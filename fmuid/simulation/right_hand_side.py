@@ -23,9 +23,12 @@ from fmuid.simulation.solver_refinement import by_model_exchange
 
 
 class RightHandSide:
-    """Derivatives and outputs of a model at the ends of sampling intervals; its `system` runs by Model Exchange."""
+    """Derivatives and outputs of a model at the ends of sampling intervals; its `system` runs by Model Exchange.
 
-    def __init__(self, simulator: Simulator, system: System) -> None:
+    With `by_rows` its points are the rows.
+    """
+
+    def __init__(self, simulator: Simulator, system: System, *, by_rows: bool = False) -> None:
         self._simulator, self._system = simulator, system
         ((component, model),) = system.components.items()
         description = model.fmu.description
@@ -38,25 +41,28 @@ class RightHandSide:
         task = task_of(system, extended_by(simulator.experiment, [*wanted, *outputs]), names, values, None)
         held = np.array([mode == codes.HELD for mode in task.modes.values()], dtype=np.bool_)
         grid = grid_of(task)
-        ends = np.repeat(np.arange(len(grid.times)), 2)[1:-1]
+        rows = np.arange(len(grid.times))
+        ends = rows if by_rows else np.repeat(rows, 2)[1:-1]
         inputs = grid.inputs[ends]
-        inputs[1::2, held] = inputs[::2, held]
-        self._grid = grid._replace(
+        if not by_rows:
+            inputs[1::2, held] = inputs[::2, held]
+        self._points = grid._replace(
             times=grid.times[ends],
             substeps=np.ones(len(ends) - 1, np.intp),
             strides=np.ones(1, np.intp),
             inputs=inputs,
             slopes=None,
+            states=np.zeros((len(ends), len(self.states))),
         )
         # nothing varies between points
-        self._plan = plan_of(replace(task, modes=dict.fromkeys(task.modes, codes.HELD)))
-        self._names = task.experiment.output_names
+        plan, found = plan_of(replace(task, modes=dict.fromkeys(task.modes, codes.HELD))), task.experiment.output_names
+        self._simulation = GridSimulation(plan, self._points, found)
         # a derivative that was measured is there once
-        self._columns = [self._names.index(name) for name in (*wanted, *outputs)]
+        self._columns = [found.index(name) for name in (*wanted, *outputs)]
         self._start = initial_simulation(simulator.by(system, 1, None))
 
     @classmethod
-    def of(cls, simulator: Simulator) -> RightHandSide | None:
+    def of(cls, simulator: Simulator, *, by_rows: bool = False) -> RightHandSide | None:
         """Return a simulator's right-hand side; None unless one FMU shows its derivatives."""
         simulator, system = simulator.of_model, by_model_exchange(simulator.system)
         if system is None or len(system.components) > 1 or len(simulator.experiment.times) < 2:
@@ -67,17 +73,18 @@ class RightHandSide:
             variable = system.variables.get(system.full_name(component, name))
             if variable is None or variable.array or variable.causality not in ("output", "local"):
                 return None
-        return cls(simulator, system)
+        return cls(simulator, system, by_rows=by_rows)
 
     def __call__(self, states: Floats, thetas: Floats) -> tuple[Floats, Floats]:
         """Return derivatives (m, P, n_x) and outputs (m, P, n_y); in units of the data file; NaN after a failure.
 
-        States are (P, n_x), P = 2 (K − 1) points: begin and end of each interval.
+        States are (P, n_x), P = 2 (K − 1) points: begin and end of each interval, or P = K rows.
         """
-        simulation = GridSimulation(self._plan, self._grid._replace(states=np.ascontiguousarray(states)), self._names)
-        executor, count = executor_of(self._system), len(self.states)
-        job = simulation.job(self._simulator.target_values(thetas))
+        executor, count, given = executor_of(self._system), len(self.states), self._points.states
+        assert given is not None, "as made"
+        job = self._simulation.job(self._simulator.target_values(thetas))
         with executor.lock:
+            given[:] = states
             executor.run(job)
         job.outputs[job.failed] = np.nan
         found = job.outputs[:, :, self._columns]
@@ -110,7 +117,7 @@ class RightHandSide:
         """Return initial states, f, y, and f, Δy of moved states."""
         initial = self.initial(theta[None])
         states = np.zeros(len(self.states)) if initial is None else initial[0]
-        points = len(self._grid.times)
+        points = len(self._points.times)
         derivatives, outputs = self(np.tile(states, (points, 1)), theta[None])
         moved = states + np.diag(self.nominals)
         found = [self(np.tile(each, (points, 1)), theta[None]) for each in moved]

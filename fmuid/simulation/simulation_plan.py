@@ -187,9 +187,11 @@ class GridSimulation:
         return int(self.grid.substeps.sum())
 
     @property
-    def varying(self) -> list[Sensitivities]:
-        """Sensitivities to fill in before each simulation."""
-        return [each.sensitivities for each in self.plan.integrations if each is not None and each.sensitivities]
+    def varying(self) -> list[Floats]:
+        """Arrays to fill in before each simulation: those of sensitivities, and given states."""
+        some = [each.sensitivities for each in self.plan.integrations if each is not None and each.sensitivities]
+        given = [] if self.grid.states is None else [self.grid.states]
+        return [array for each in some for array in (each.magnitudes, each.initial, each.steps)] + given
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,6 +28,7 @@ from fmuid.simulation import MOST_STEPS, Value
 from fmuid.studies import value_kinds as kinds
 from fmuid.studies.array_elements import by_element
 from fmuid.studies.observation import ObservationSection
+from fmuid.studies.operating_points import KindSection
 from fmuid.studies.parameters import PriorSource, ResultValueSection
 from fmuid.studies.section import SectionLocation, Settings, StudySection, entry
 from fmuid.units import TIME_UNITS
@@ -225,7 +226,7 @@ Interpolation = Annotated[str, kinds.one_of(INTERPOLATIONS)]
 Interpolations = Annotated[dict[str, Interpolation], kinds.Entries("{ input = interpolation }")]
 
 
-class ExperimentSettings(StudySection):
+class ExperimentSettings(KindSection):
     """Experiment: a data file with the roles of its columns."""
 
     data: kinds.File = entry(..., "data file")
@@ -284,20 +285,24 @@ class ExperimentSettings(StudySection):
         from fmuid.data import read_data
 
         how = {key: getattr(self, key) for key in ("time_unit", "sample_rate", "sheet")}
-        return read_data(table, self.time, **how, source=source or str(table))
+        return read_data(table, self.time if self.in_time else None, **how, source=source or str(table))
 
     def experiment(self, frame: pd.DataFrame, source: str, *, measured: bool = True) -> Experiment:
         """Return the experiment of a frame; outputs that are not `measured` need no column."""
-        from fmuid.data import Experiment, time_name
+        from fmuid.data import ROW, Experiment, time_name, with_rows
 
+        other: dict[str, Any] = {name: getattr(self, name) for name in ("inputs", "outputs", "units", "name")}
+        other |= {"values": self.fixed, "measured": measured, "source": source}
+        if not self.in_time:
+            rows = self.preprocess.applied(with_rows(frame), ROW, source, self.columns)
+            return self.experiment_of_rows(rows, other)
         time = time_name(self.time)
         given = self.interpolation
         words = given if isinstance(given, dict) else dict.fromkeys(self.inputs, given)
         between = {column: words.get(name, "linear") for name, column in self.inputs.items()}
         frame = self.preprocess.applied(frame, time, source, self.columns, between)
-        other = {name: getattr(self, name) for name in ("interpolation", "units", "name")}
-        other |= {"warmup": self.warmup, "values": self.fixed, "observation": self.observed}
-        return Experiment(frame, self.inputs, self.outputs, time, **other, measured=measured, source=source)
+        other |= {"observation": self.observed, "warmup": self.warmup}
+        return Experiment(frame, time=time, interpolation=given, **other)
 
 
 def named(experiments: Sequence[ExperimentSettings], top: SectionLocation) -> tuple[ExperimentSettings, ...]:
@@ -305,6 +310,7 @@ def named(experiments: Sequence[ExperimentSettings], top: SectionLocation) -> tu
     found: dict[str, ExperimentSettings] = {}
     for each in experiments:
         name = each.name or each.data.stem
+        each.check_keys(each.preprocess.by_rows)
         if not each.output_names:
             raise each.error('no outputs. Name the measured ones, outputs = ["..."].')
         for output, column in each.outputs.items():

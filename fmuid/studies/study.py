@@ -18,7 +18,7 @@ from fmuid.events import Progress
 from fmuid.formatting import bounded
 from fmuid.identification import Assessment, AssessmentSettings, Problem, assess, identify
 from fmuid.models import System
-from fmuid.simulation import OutputFit, Simulator, fit_of
+from fmuid.simulation import AnySimulator, OutputFit, fit_of, simulator_of
 from fmuid.studies.array_elements import check_shapes
 from fmuid.studies.estimation import EstimationSection, MonitoringSection
 from fmuid.studies.faults import DiagnosisSection
@@ -362,10 +362,10 @@ class Study(HtmlTableMixin):
         """
         return assess(self.problem(), result, self.uncertainty_settings, progress)
 
-    def simulators(self) -> tuple[Simulator, ...]:
+    def simulators(self) -> tuple[AnySimulator, ...]:
         """Return the simulator of each experiment, a function of the parameters."""
         names, values = tuple(self.parameters), self.model.values
-        return tuple(Simulator(self.system, table, names, values=values) for table in self.tables)
+        return tuple(simulator_of(self.system, table, names, values) for table in self.tables)
 
     def simulate(self) -> list[pd.DataFrame]:
         """Return frames of ``time`` (s) and simulated outputs, one per experiment."""

@@ -121,7 +121,9 @@ def test_beside_what_cannot_be_simulated_slopes_are_one_sided(
             return Simulations(found.outputs, tuple(errors))
 
     free = predict_by_model(COIL, result, record(5))
-    monkeypatch.setattr(prediction, "Simulator", Edge)
+    monkeypatch.setattr(
+        prediction, "simulator_of", lambda *given: Edge(*given[:3], values=given[3], step_size=given[4])
+    )
     beside = predict_by_model(COIL, result, record(5))
     np.testing.assert_allclose(beside.std[1:], free.std[1:], rtol=0.05)
 

@@ -51,6 +51,8 @@ class NoiseModel:
     @classmethod
     def of(cls, series: OutputSeries, values: Floats) -> NoiseModel:
         """Return the noise of unfitted samples (n,) about their mean."""
+        if not series.ordered:
+            return cls(series, common_process([(series, values - values.mean())]))
         grid = series.on_grid(values - values.mean())
         return cls(series, autoregression(grid, np.isfinite(grid)))
 
@@ -88,9 +90,13 @@ def common_process(parts: Sequence[tuple[OutputSeries, Floats]], variance: float
     variance : float, optional
         Given noise variance.
     """
-    # a gap between records
-    whole = np.concatenate([np.append(series.on_grid(values), np.nan) for series, values in parts])
-    found = autoregression(whole, np.isfinite(whole))
+    if all(series.ordered for series, _ in parts):
+        # a gap between records
+        whole = np.concatenate([np.append(series.on_grid(values), np.nan) for series, values in parts])
+        found = autoregression(whole, np.isfinite(whole))
+    else:
+        own = np.concatenate([values for _, values in parts])
+        found = Autoregression(np.zeros(0), max(float(np.mean(own**2)), np.finfo(float).tiny), own.size)
     return found if variance is None else found.of_variance(variance)
 
 

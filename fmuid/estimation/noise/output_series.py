@@ -55,6 +55,8 @@ class OutputSeries:
         Equal for series on one grid.
     pool : int
         Equal for series with one noise model.
+    ordered : bool
+        False if the order of the samples means nothing: then they are independent.
     """
 
     experiment: str
@@ -66,8 +68,9 @@ class OutputSeries:
     regular: bool
     grid: int
     pool: int
+    ordered: bool = True
 
-    json_layout: ClassVar = Layout(omitted={"rows", "places"})
+    json_layout: ClassVar = Layout(omitted={"rows", "places", "ordered"})
 
     def on_grid(self, values: Floats) -> Floats:
         """Return samples (n,) on the grid (m,), NaN if missing."""
@@ -86,23 +89,25 @@ def output_series(experiments: Sequence[Experiment], outputs: Sequence[str]) -> 
         Outputs of the problem.
     """
     found: list[OutputSeries] = []
-    pools: dict[tuple[str, int, int], int] = {}
+    pools: dict[tuple[str, int, int, bool], int] = {}
     first = grids = 0
     for experiment in experiments:
         rows = first - 1 + np.cumsum(experiment.counted.ravel()).reshape(experiment.counted.shape)
         places, step, regular = table_grid(experiment.times)
-        known: dict[tuple[int, int], int] = {}
+        known: dict[tuple[int, int, int], int] = {}
+        ordered = experiment.kind == "time"
         for column, output in enumerate(experiment.output_names):
             mine = experiment.counted[:, column]
             if not mine.any():
                 continue
             own, stride, offset = _thinned(places[mine])
-            known.setdefault((stride, offset), grids + len(known))
+            alike = stride, offset, -1 if ordered else column
+            known.setdefault(alike, grids + len(known))
             alone = len(found) if own.size >= SETTINGS.pooled else -1
             same = int(np.rint(np.log(max(stride * step, np.finfo(float).tiny)) / SETTINGS.same_step))
-            pool = pools.setdefault((output, same, alone), len(pools))
-            names, grid = (experiment.name, output, outputs.index(output)), known[stride, offset]
-            found.append(OutputSeries(*names, rows[mine, column], own, stride * step, regular, grid, pool))
+            pool = pools.setdefault((output, same, alone, ordered), len(pools))
+            names, grid = (experiment.name, output, outputs.index(output)), known[alike]
+            found.append(OutputSeries(*names, rows[mine, column], own, stride * step, regular, grid, pool, ordered))
         first, grids = first + int(experiment.counted.sum()), grids + len(known)
     return tuple(found)
 
@@ -138,7 +143,7 @@ def table_grid(times: Floats) -> tuple[Indices, float, bool]:
 
 def period_of(experiment: Experiment) -> float:
     """Return the period of all moving inputs of an experiment, s; 0 without."""
-    if not experiment.input_names:
+    if not experiment.input_names or experiment.kind != "time":
         return 0.0
     places, step, regular = table_grid(experiment.times)
     values = experiment.input_values - experiment.input_values.mean(axis=0)

@@ -203,7 +203,8 @@ def _models(
         if rows.white[group]:
             model = Autoregression(np.zeros(0), 1.0, samples)
         else:
-            orders = most_orders(samples, max(there[i].size for i in members))
+            ordered = all(series[i].ordered for i in members)
+            orders = most_orders(samples, max(there[i].size for i in members)) if ordered else 0
             extra = len(columns[members[0]]) // 2
             weights = np.repeat([1.0, 0.5, -0.5], [1, extra, extra])
             model = fit(*_joined([(columns[i], there[i]) for i in members], orders + 1), weights, orders)

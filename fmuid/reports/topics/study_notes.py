@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from fmuid.formatting import listed, two_digits
 from fmuid.identification import TimeScaleMismatch, TimeScaleWarning
 from fmuid.reports.document import Message, Remark, doubt
-from fmuid.simulation import Simulator
+from fmuid.simulation import AnySimulator, Simulator
 from fmuid.studies import SourceIssue, SourceWarning, Study
 
 MOST_GAPS = 3
@@ -58,7 +58,7 @@ def source_notes(study: Study) -> list[Remark]:
     return [source_remark(each) for each in study.notes]
 
 
-def input_notes(simulators: Iterable[Simulator]) -> list[Remark]:
+def input_notes(simulators: Iterable[AnySimulator]) -> list[Remark]:
     """Return the inputs without data."""
     return [
         StudyMessage.NO_DATA.said(data=each.experiment.source, inputs=names)
@@ -67,12 +67,13 @@ def input_notes(simulators: Iterable[Simulator]) -> list[Remark]:
     ]
 
 
-def time_notes(study: Study, simulators: Sequence[Simulator]) -> list[Remark]:
+def time_notes(study: Study, simulators: Sequence[AnySimulator]) -> list[Remark]:
     """Return the data files whose duration does not fit the model."""
     from fmuid.identification import doubt_of_time
 
     starts = [parameter.start for parameter in study.parameters.values()]
-    found = (doubt_of_time(each, starts) for each in simulators[:5])  # each costs a simulation
+    in_time = [each for each in simulators if isinstance(each, Simulator)]
+    found = (doubt_of_time(each, starts) for each in in_time[:5])  # each costs a simulation
     return [time_remark(each) for each in found if each is not None]
 
 

@@ -11,7 +11,7 @@ import pandas as pd
 from fmuid.data import Experiment, JointPrior, time_name
 from fmuid.errors import InputError
 from fmuid.identification import Problem
-from fmuid.simulation import Simulator
+from fmuid.simulation import AnySimulator, simulator_of
 from fmuid.studies import BatchSettings, ExperimentSettings, Study, Value
 
 Values = Mapping[str, Value]
@@ -96,14 +96,14 @@ def truth_values(study: Study, held: Values) -> dict[str, Value]:
 
 def truth_simulators(
     study: Study, experiments: Sequence[Experiment], truth: Values
-) -> list[tuple[Simulator, list[float]]]:
+) -> list[tuple[AnySimulator, list[float]]]:
     """Return a simulator of the truth for each experiment, and its parameters."""
     flat, names = flat_names(study), tuple(study.parameters)
     values = {**study.model.values, **{name: value for name, value in truth.items() if name not in flat}}
     found = []
     for given, experiment in zip(study.experiments, experiments, strict=True):
         theta = [float(truth[name if name in flat else f"{name}[{given.name}]"]) for name in names]
-        found.append((Simulator(study.system, experiment, names, values=values), theta))
+        found.append((simulator_of(study.system, experiment, names, values), theta))
     return found
 
 
@@ -124,5 +124,6 @@ def check_model(study: Study, settings: BatchSettings, subsets: Sequence[Sequenc
 def _unmeasured(given: ExperimentSettings, rows: int) -> Experiment:
     """Return an experiment without data: inputs at rest, names of the outputs."""
     columns = dict.fromkeys([*given.inputs.values(), *([] if given.observed is None else given.columns)], 0.0)
+    columns |= dict.fromkeys(given.supply_columns, 1.0)
     frame = pd.DataFrame({time_name(given.time): np.arange(rows, dtype=np.float64)} | columns)
     return given.model_copy(update={"warmup": 0.0}).experiment(frame, str(given.data), measured=False)

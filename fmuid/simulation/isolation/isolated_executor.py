@@ -146,12 +146,17 @@ class IsolatedExecutor:
         (their_reports, their_thetas, their_outputs), size = host.room(shape)
         their_reports[:] = codes.UNDONE
         their_thetas[:] = job.thetas[group]
-        varying = [(each.magnitudes, each.initial, each.steps) for each in simulation.varying]
         try:
             number = self._tell(host, simulation)
             host.simulations += len(group)
             stiff, longest, renewal = host.order(
-                server.run, number, shape, size, varying, limit=self._time_limit(simulation), reports=their_reports
+                server.run,
+                number,
+                shape,
+                size,
+                simulation.varying,
+                limit=self._time_limit(simulation),
+                reports=their_reports,
             )
             self._keeper.longest = max(self._keeper.longest, longest)
             self._renewal = None if renewal is None else Renewal(renewal)

@@ -66,15 +66,14 @@ def know(number: int, simulation: GridSimulation, forgotten: Sequence[int]) -> N
 
 
 def run(
-    number: int, shape: tuple[int, int, int, int], size: int, varying: Sequence[Sequence[Any]]
+    number: int, shape: tuple[int, int, int, int], size: int, varying: Sequence[Floats]
 ) -> tuple[list[int], float, int | None]:
     """Simulate; return stiff components, longest simulation, s, and `Renewal`."""
     simulation, (executor,) = _runs[number], _executor
     if not _memory or len(_memory[0]) != size:
         _memory[:] = [shared_memory(size)]
-    for given, new in zip(simulation.varying, varying, strict=True):
-        for array, values in zip((given.magnitudes, given.initial, given.steps), new, strict=True):
-            array[:] = values
+    for array, values in zip(simulation.varying, varying, strict=True):
+        array[:] = values
     reports, thetas, outputs = arrays(_memory[0], shape)
     before = [each and each.integrator for each in simulation.plan.integrations]
     executor.run(SimulationJob(simulation, thetas, outputs, reports))

@@ -31,7 +31,7 @@ from fmuid.files import is_file
 from fmuid.formatting import fit_text, with_unit
 from fmuid.processes import AVAILABLE
 from fmuid.reports.render.html import text as escaped
-from fmuid.simulation import Simulator, close, executor_of, fit_of, parameter_units
+from fmuid.simulation import AnySimulator, close, executor_of, fit_of, parameter_units
 from fmuid.studies import Study
 
 HOLD, PRIOR = "hold", "prior"  # Address arguments: a parameter to fix, and one to give a prior
@@ -47,7 +47,7 @@ class StudyPage:
         self.study = study = Study.read(self.path, self._given, isolated=isolated)
         study.check_parameters()
         self.simulators = study.simulators()
-        self.simulator: Simulator = self.simulators[0]
+        self.simulator: AnySimulator = self.simulators[0]
         units = parameter_units(study.system, list(study.parameters))
         self.rows = [
             ParameterRow(name, unit, parameter, self._changed)
@@ -187,7 +187,7 @@ class StudyPage:
         with contextlib.suppress(AttributeError):
             self.doc.add_next_tick_callback(partial(self._show, simulator, theta, outputs, words, seconds))
 
-    def _show(self, simulator: Simulator, theta: Floats, outputs: Floats, error: str, seconds: float) -> None:
+    def _show(self, simulator: AnySimulator, theta: Floats, outputs: Floats, error: str, seconds: float) -> None:
         if simulator is not self.simulator:
             return  # another experiment is shown by now
         self.shown = theta

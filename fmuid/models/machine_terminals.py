@@ -1,0 +1,122 @@
+"""Terminals of an AC machine, and formulas of its operating points."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from fmuid.array_types import Floats
+
+Phasors = npt.NDArray[np.complex128]
+PHASES = 3
+AXES = ("rotor", "stator")
+"""Axes of a model: fixed to the rotor or to the stator."""
+TRANSFORMS = ("power-invariant", "amplitude-invariant")
+
+
+@dataclass(frozen=True)
+class MachineTerminals:
+    """Variables of an FMU that are the terminals of a three-phase machine.
+
+    Attributes
+    ----------
+    voltages, currents : (str, str)
+        Inputs and outputs of the direct and the quadrature axis; the quadrature axis lags in the phasor.
+    speed : str
+        Input of the electrical speed, rad/s; "" without one.
+    axes : "rotor" or "stator"
+        Axes of the model.
+    transform : "power-invariant" or "amplitude-invariant"
+        Transform from phases to axes.
+    resistance : str
+        Parameter of the stator resistance; "" if unknown.
+    """
+
+    voltages: tuple[str, str]
+    currents: tuple[str, str]
+    speed: str = ""
+    axes: str = "rotor"
+    transform: str = "power-invariant"
+    resistance: str = ""
+
+    @property
+    def amplitude(self) -> float:
+        """Amplitude in the axes of one unit rms a phase."""
+        return math.sqrt(PHASES if self.transform == "power-invariant" else 2.0)
+
+    @property
+    def power_factor(self) -> float:
+        """Factor from products in the axes to the power."""
+        return 1.0 if self.transform == "power-invariant" else 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class OperatingPhasors:
+    """Phasors of operating points: amplitudes (K,) in both axes.
+
+    `share` is the mean of a product of two signals over that of their amplitudes: 1/2, or 1 for constants. `supply`
+    is the angular frequency of the supply (K,), rad/s; `slip` (K,).
+    """
+
+    terminals: MachineTerminals
+    voltages: Phasors
+    currents: Phasors
+    share: float
+    supply: Floats
+    slip: Floats
+    resistance: float
+    pole_pairs: float
+
+    @property
+    def current(self) -> Floats:
+        """Phase current (K,), A rms."""
+        square = 2.0 * self.share * np.sum(np.abs(self.currents) ** 2, axis=0) / 2.0
+        return np.asarray(np.sqrt(square) / self.terminals.amplitude, dtype=np.float64)
+
+    @property
+    def power(self) -> Phasors:
+        """Complex power P + jQ of three phases (K,), VA."""
+        (ud, uq), (id_, iq) = self.voltages, self.currents
+        active = np.real(ud * np.conj(id_) + uq * np.conj(iq))
+        reactive = np.real(uq * np.conj(id_) - ud * np.conj(iq))
+        return np.asarray(self.terminals.power_factor * self.share * (active + 1j * reactive))
+
+    @property
+    def torque(self) -> Floats:
+        """Air-gap torque (K,), N.m: air-gap power over synchronous speed."""
+        air_gap = self.power.real - PHASES * self.resistance * self.current**2
+        return np.asarray(air_gap * self.pole_pairs / self.supply, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class PhasorFormula:
+    """Named output of operating points."""
+
+    unit: str
+    equation: str
+    value: Callable[[OperatingPhasors], Floats]
+    needs_torque: bool = False
+
+
+def _cos_phi(at: OperatingPhasors) -> Floats:
+    return np.asarray(at.power.real / np.abs(at.power), dtype=np.float64)
+
+
+def _efficiency(at: OperatingPhasors) -> Floats:
+    return np.asarray(at.torque * (1.0 - at.slip) * at.supply / at.pole_pairs / at.power.real, dtype=np.float64)
+
+
+PHASOR_FORMULAS: Mapping[str, PhasorFormula] = {
+    "I_rms": PhasorFormula("A", "sqrt(mean(id^2 + iq^2)) / k, k = sqrt(3) power-invariant", lambda at: at.current),
+    "P": PhasorFormula("W", "c mean(ud id + uq iq), c = 1 power-invariant", lambda at: at.power.real),
+    "Q": PhasorFormula("var", "c mean(uq id - ud iq)", lambda at: at.power.imag),
+    "S": PhasorFormula("V.A", "sqrt(P^2 + Q^2)", lambda at: np.abs(at.power)),
+    "cos_phi": PhasorFormula("", "P / S", _cos_phi),
+    "torque": PhasorFormula("N.m", "p (P - 3 Rs I_rms^2) / (2 pi f)", lambda at: at.torque, True),
+    "efficiency": PhasorFormula("", "torque (1 - s) 2 pi f / (p P)", _efficiency, True),
+}
+"""Formulas of machine terminals; amplitude-invariant axes have k = sqrt(2), c = 3/2."""

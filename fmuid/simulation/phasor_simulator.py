@@ -1,0 +1,153 @@
+"""Steady states of an AC machine: phasors of the model linearized at rest, in its own axes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from fmuid.array_types import Floats
+from fmuid.data import SteadyExperiment
+from fmuid.errors import InputError
+from fmuid.models import PHASOR_FORMULAS, OperatingPhasors, Phasors, System
+from fmuid.simulation.point_model import PointModel, StateSpace
+from fmuid.simulation.point_simulator import PointSimulator
+from fmuid.simulation.simulation_task import Value
+from fmuid.simulation.steady_simulator import in_data_units, is_formula, terminals_of, unit_factor, values_of_formulas
+
+
+@dataclass(frozen=True)
+class PhasorSettings:
+    """Numbers of the check of phasors."""
+
+    linear: float = 1e-6  # largest relative error of the linear model at the amplitudes
+
+
+SETTINGS = PhasorSettings()
+
+
+class PhasorSimulator(PointSimulator):
+    """Outputs of the operating points of an AC machine with symmetrical supply."""
+
+    experiment: SteadyExperiment
+
+    def __init__(
+        self,
+        system: System,
+        experiment: SteadyExperiment,
+        parameters: Sequence[str] = (),
+        *,
+        values: Mapping[str, Value] | None = None,
+    ) -> None:
+        super().__init__(system, experiment, parameters, values=values)
+        assert experiment.supply is not None, "of such an experiment"
+        found = terminals_of(system, experiment, ())
+        assert found is not None, "refused without one"
+        self.terminals, self.pole_pairs = found, experiment.supply.pole_pairs
+        for name in self.output_names:
+            if not is_formula(system, name):
+                known = ", ".join(PHASOR_FORMULAS)
+                raise InputError(f"{experiment.source}: with frame, outputs are {known}, not {name!r}.")
+            if PHASOR_FORMULAS[name].needs_torque and (not self.pole_pairs or not found.resistance):
+                raise InputError(
+                    f"{experiment.source}: {name!r} needs pole_pairs in frame, and resistance in terminals."
+                )
+        self._is_checked = False
+        _ = self._points
+
+    def _column(self, name: str, unit: str, default: str = "") -> Floats | None:
+        """Return a quantity (K,) of the supply in a unit; None where it is not given."""
+        if name not in self.experiment.input_names:
+            return None
+        values = self.experiment.input_values[:, self.experiment.input_names.index(name)]
+        given = self.experiment.units.get(name, default or unit)
+        return values * unit_factor(given, unit, f"{self.experiment.source}: frame: {name}")
+
+    @cached_property
+    def supply(self) -> tuple[Floats, Floats, Floats]:
+        """Phase voltage, V rms, angular frequency, rad/s, and slip (K,)."""
+        voltage, frequency, slip = (
+            self._column("voltage", "V"),
+            self._column("frequency", "Hz"),
+            self._column("slip", ""),
+        )
+        if voltage is None:
+            line = self._column("line_voltage", "V")
+            assert line is not None, "one of the two is given"
+            voltage = line / np.sqrt(3.0)
+        assert frequency is not None, "it is required"
+        angular = 2.0 * np.pi * frequency
+        if (angular <= 0.0).any():
+            raise InputError(f"{self.experiment.source}: frame: frequency must be above 0 Hz in every row.")
+        if slip is None:
+            speed = self._column("speed", "rad/s", "rpm")
+            assert speed is not None and self.pole_pairs is not None, "checked by the frame"
+            slip = 1.0 - self.pole_pairs * speed / angular
+        return voltage, angular, slip
+
+    @cached_property
+    def frequencies(self) -> Floats:
+        """Angular frequency of the phasors in the axes (K,), rad/s."""
+        _, angular, slip = self.supply
+        return angular * slip if self.terminals.axes == "rotor" else angular
+
+    @cached_property
+    def vector(self) -> Phasors:
+        """Amplitudes (2, K) of the voltages: the quadrature axis is a quarter of a turn behind."""
+        voltage, _, _ = self.supply
+        return np.asarray(self.terminals.amplitude * voltage * np.array([[1.0], [-1.0j]]))
+
+    @cached_property
+    def _points(self) -> PointModel:
+        return self._points_at(np.zeros_like(self.vector.real))
+
+    def _points_at(self, voltages: Floats) -> PointModel:
+        """Return the model with voltages (2, K) at each speed."""
+        _, angular, slip = self.supply
+        inputs = dict(zip(self.terminals.voltages, voltages, strict=True))
+        inputs |= {self.terminals.speed: angular * (1.0 - slip)} if self.terminals.speed else {}
+        found = None
+        if self.model is not None:
+            found = PointModel(self.model, inputs, self.terminals.voltages, self.terminals.currents, {})
+        if found is None or not found.is_open:
+            raise InputError(f"{self.system.label}: frame needs one FMU for Model Exchange that shows its states.")
+        return found
+
+    def _compute(self, thetas: Floats) -> tuple[Floats, list[str]]:
+        """Return outputs (m, K, n_outputs) of all rows, and reasons of failures."""
+        points, (_, angular, slip) = self._points, self.supply
+        models = points.at(np.zeros((slip.size, len(points.states))), thetas)
+        states = _states(models, self.frequencies, self.vector.T)
+        currents = (models.c @ states + models.d @ self.vector.T[..., None])[..., 0]
+        resistance = np.full(len(thetas), np.nan)
+        if self.terminals.resistance:
+            resistance = self.parameter(self.terminals.resistance, thetas)
+        outputs = np.empty((len(thetas), slip.size, len(self.output_names)))
+        for i in range(len(thetas)):
+            given = self.vector, currents[i].T, 0.5, angular, slip, float(resistance[i]), self.pole_pairs or np.nan
+            values = values_of_formulas(self.output_names, OperatingPhasors(self.terminals, *given))
+            for j, name in enumerate(self.output_names):
+                outputs[i, :, j] = in_data_units(self.system, self.experiment, name, values[name])
+        reasons = [""] * len(thetas)
+        if not self._is_checked and np.isfinite(states[0]).all():
+            reasons[0] = self._curvature(states[0, :, :, 0], thetas[:1])
+            self._is_checked = not reasons[0]
+        return outputs, reasons
+
+    def _curvature(self, states: Phasors, theta: Floats) -> str:
+        """Return why phasors do not hold; "" if the model is linear."""
+        rates = self._points_at(self.vector.real).at(np.ascontiguousarray(states.real), theta).rates[0]
+        linear = (1j * self.frequencies[:, None] * states).real
+        size = np.abs(self.frequencies[:, None] * states).max(axis=1) + np.abs(rates).max(axis=1)
+        wrong = np.abs(rates - linear).max(axis=1) > SETTINGS.linear * size
+        said = f"row {int(wrong.argmax()) + 1}: nonlinear at this amplitude. Use a model that is linear, or a transient"
+        return said if wrong.any() else ""
+
+
+def _states(models: StateSpace, frequencies: Floats, inputs: Phasors) -> Phasors:
+    """Return phasors of the states (m, K, n_x, 1): (jω − A)⁻¹ B u."""
+    one = np.eye(models.a.shape[2])
+    found = np.linalg.solve(1j * frequencies[:, None, None] * one - models.a, models.b @ inputs[..., None])
+    return np.asarray(found, dtype=np.complex128)

@@ -1,0 +1,164 @@
+"""A model at points of its states and inputs: derivatives, outputs, and their matrices A, B, C, D."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from fmuid.array_types import Flags, Floats
+from fmuid.data import Experiment
+from fmuid.models import System
+from fmuid.simulation.right_hand_side import RightHandSide
+from fmuid.simulation.simulation_task import Value
+from fmuid.simulation.simulator import Simulator
+
+
+@dataclass(frozen=True)
+class PointSettings:
+    """Numbers of differences at points."""
+
+    step: float = 1e-4  # relative to state or nominal value: curvature leaves 1e-8 of a derivative, rounding less
+    input_step: float = 1e-4  # relative to the input, or absolute at zero
+    kink: float = 1e-2  # relative difference of the derivatives of both sides of an event, ...
+    shorter: float = 0.25  # ... which stays at so much of the step; that of a curve shrinks with it
+    rounding: float = 1e-9
+
+
+SETTINGS = PointSettings()
+
+
+@dataclass(frozen=True)
+class ModelOfPoints:
+    """System with parameters and held values, to be evaluated at points."""
+
+    system: System
+    parameters: tuple[str, ...]
+    values: Mapping[str, Value]
+    source: str
+
+    def simulator(self, columns: Mapping[str, Floats], outputs: Sequence[str], units: Mapping[str, str]) -> Simulator:
+        """Return the simulator of rows of inputs (P,)."""
+        count = len(next(iter(columns.values()), np.zeros(2)))
+        frame = pd.DataFrame({"time": np.arange(float(count)), **columns})
+        made = Experiment(frame, list(columns), list(outputs), interpolation="zoh", units=units, measured=False)
+        return Simulator(self.system, made, self.parameters, values=self.values)
+
+
+@dataclass(frozen=True, eq=False)
+class StateSpace:
+    """Linear models of operating points, for thetas: ẋ = A x + B u, y = C x + D u.
+
+    Attributes
+    ----------
+    a : (m, K, n_x, n_x) array
+    b : (m, K, n_x, n_u) array
+    c : (m, K, n_y, n_x) array
+    d : (m, K, n_y, n_u) array
+    rates : (m, K, n_x) array
+        ẋ at the points.
+    outputs : (m, K, n_y) array
+    """
+
+    a: Floats
+    b: Floats
+    c: Floats
+    d: Floats
+    rates: Floats
+    outputs: Floats
+
+
+class PointModel:
+    """Derivatives and outputs of one FMU about K operating points.
+
+    Parameters
+    ----------
+    model : ModelOfPoints
+    inputs : mapping of str to (K,) array
+        In `units`, or those of the FMU.
+    seeds : sequence of str
+        Inputs to differentiate by.
+    outputs : sequence of str
+        FMU variables.
+    units : mapping of str to str
+        Of inputs and outputs.
+    """
+
+    def __init__(
+        self,
+        model: ModelOfPoints,
+        inputs: Mapping[str, Floats],
+        seeds: Sequence[str],
+        outputs: Sequence[str],
+        units: Mapping[str, str],
+    ) -> None:
+        self.seeds, self.outputs = tuple(seeds), tuple(outputs)
+        columns = {name: np.zeros(1) for name in seeds} | dict(inputs)
+        self.count = max((len(each) for each in columns.values()), default=1)
+        columns = {name: np.broadcast_to(each, self.count) for name, each in columns.items()}
+        first = model.simulator({name: np.repeat(each, 2) for name, each in columns.items()}, self.outputs, units)
+        probe = RightHandSide.of(first, by_rows=True)
+        self.states: tuple[str, ...] = () if probe is None else probe.states
+        self.is_open = probe is not None and bool(self.states)
+        if probe is None or not self.states:
+            return
+        self.nominals = probe.nominals
+        # rows of a point: itself, each state up and down, each seed up and down
+        self.rows = 1 + 2 * (len(self.states) + len(self.seeds))
+        self.input_steps = {
+            name: SETTINGS.input_step * np.where(columns[name] == 0.0, 1.0, np.abs(columns[name])) for name in seeds
+        }
+        spread = {name: np.repeat(each[:, None], self.rows, axis=1) for name, each in columns.items()}
+        begin = 1 + 2 * len(self.states)
+        for j, name in enumerate(self.seeds):
+            spread[name][:, begin + 2 * j] += self.input_steps[name]
+            spread[name][:, begin + 2 * j + 1] -= self.input_steps[name]
+        rows = model.simulator({name: each.ravel() for name, each in spread.items()}, self.outputs, units)
+        side = RightHandSide.of(rows, by_rows=True)
+        assert side is not None, "as the probe"
+        self._side = side
+
+    def initial(self, thetas: Floats) -> Floats | None:
+        """Return the initial states (m, n_x); None if hidden or failed."""
+        return self._side.initial(thetas)
+
+    def at(self, states: Floats, thetas: Floats) -> StateSpace:
+        """Return the linear models about states (K, n_x) for thetas (m, N); NaN after a failure."""
+        n = len(self.states)
+        rates, outputs, sizes = self._around(states, thetas, SETTINGS.step)
+        steps = np.column_stack([sizes, *(self.input_steps[name] for name in self.seeds)])
+        by_rates, by_outputs = (_slopes(each, steps) for each in (rates, outputs))
+        parts = by_rates[..., :n], by_rates[..., n:], by_outputs[..., :n], by_outputs[..., n:]
+        return StateSpace(*parts, rates[:, :, 0], outputs[:, :, 0])
+
+    def events(self, states: Floats, theta: Floats) -> Flags:
+        """Return whether there is an event at each point (K,)."""
+        found = []
+        for step in (SETTINGS.step, SETTINGS.step * SETTINGS.shorter):
+            rates, _, _ = self._around(states, theta[None], step)
+            base, up, down = (rates[0][:, where] for where in np.s_[:1, 1 : 2 * len(self.states) + 1 : 2, 2::2])
+            down = down[:, : len(self.states)]
+            found.append((np.abs(up + down - 2.0 * base).max(axis=1), np.abs(up - down).max(axis=1), base[:, 0]))
+        (bend, change, base), (shorter, _, _) = found
+        kinked = (bend > SETTINGS.kink * change) & (bend > SETTINGS.rounding * np.abs(base))
+        return np.asarray((kinked & (shorter > 0.5 * SETTINGS.shorter * bend)).any(axis=1))
+
+    def _around(self, states: Floats, thetas: Floats, step: float) -> tuple[Floats, Floats, Floats]:
+        """Return rates and outputs (m, K, rows, n), and steps (K, n_x)."""
+        n = len(self.states)
+        sizes = step * np.maximum(np.abs(states), self.nominals)
+        points = np.repeat(states[:, None], self.rows, axis=1)
+        for i in range(n):
+            points[:, 1 + 2 * i, i] += sizes[:, i]
+            points[:, 2 + 2 * i, i] -= sizes[:, i]
+        found = self._side(points.reshape(-1, n), np.ascontiguousarray(thetas))
+        rates, outputs = (each.reshape(len(thetas), self.count, self.rows, -1) for each in found)
+        return rates, outputs, sizes
+
+
+def _slopes(values: Floats, steps: Floats) -> Floats:
+    """Return derivatives (m, K, n, n_s) of the rows of points."""
+    found = (values[:, :, 1::2] - values[:, :, 2::2]) / (2.0 * steps[..., None])
+    return np.asarray(np.swapaxes(found, 2, 3))

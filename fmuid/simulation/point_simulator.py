@@ -1,0 +1,108 @@
+"""Predictors of experiments without a time: what they have in common."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fmuid.array_types import Floats
+from fmuid.data import Experiment
+from fmuid.errors import InputError, SimulationError
+from fmuid.models import System
+from fmuid.simulation.observed import Simulations
+from fmuid.simulation.point_model import ModelOfPoints
+from fmuid.simulation.simulation_task import Value
+from fmuid.simulation.solver_refinement import by_model_exchange
+
+
+class PointSimulator(ABC):
+    """Outputs of a model at operating points, by parameters; used like a `Simulator`.
+
+    Parameters
+    ----------
+    system : System
+    experiment : Experiment
+        Of another kind than ``"time"``.
+    parameters : sequence of str
+        Variables set by theta, in this order.
+    values : mapping of str to float, int, bool or str, optional
+        Variables held at a value; the experiment's take precedence.
+    """
+
+    stiff: frozenset[str] = frozenset()
+    corrects = False
+    unfed_inputs: tuple[str, ...] = ()
+
+    def __init__(
+        self,
+        system: System,
+        experiment: Experiment,
+        parameters: Sequence[str] = (),
+        *,
+        values: Mapping[str, Value] | None = None,
+    ) -> None:
+        self.system, self.experiment, self.parameters = system, experiment, tuple(parameters)
+        self._values = dict(values or {})
+        self.held: dict[str, Value] = {**self._values, **experiment.values}
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Outputs, in order of the last axis."""
+        return self.experiment.output_names
+
+    def over(self, experiment: Experiment, parameters: Sequence[str] | None = None) -> Self:
+        """Return the simulator of a like experiment, or of other parameters."""
+        names = self.parameters if parameters is None else tuple(parameters)
+        values = {name: value for name, value in self._values.items() if name not in names}
+        return type(self)(self.system, experiment, names, values=values)
+
+    def __call__(self, theta: ArrayLike) -> Floats:
+        """Compute one theta (N,) or several (m, N); return (K, n_outputs) or (m, K, n_outputs)."""
+        thetas = np.asarray(theta, dtype=np.float64)
+        found = self.many(np.atleast_2d(thetas))
+        for error in found.errors:
+            if error is not None:
+                raise error
+        return found.outputs[0] if thetas.ndim < 2 else found.outputs
+
+    def many(self, thetas: ArrayLike) -> Simulations:
+        """Compute several finite thetas (m, N); failures do not end the others."""
+        given = np.ascontiguousarray(thetas, dtype=np.float64)
+        if given.ndim != 2 or given.shape[1] != len(self.parameters) or not np.isfinite(given).all():
+            raise InputError(f"theta must have {len(self.parameters)} finite values, not the shape {given.shape}")
+        with np.errstate(all="ignore"):
+            outputs, reasons = self._compute(given)
+        errors: list[SimulationError | None] = [None] * len(given)
+        for i, theta in enumerate(given):
+            reason = reasons[i] or ("" if np.isfinite(outputs[i]).all() else "an output is not finite")
+            if reason:
+                named = dict(zip(self.parameters, theta.tolist(), strict=True))
+                errors[i] = SimulationError(self.system.label, np.nan, named, f"{self.experiment.source}: {reason}")
+                outputs[i] = np.nan
+        return Simulations(outputs, tuple(errors))
+
+    @abstractmethod
+    def _compute(self, thetas: Floats) -> tuple[Floats, list[str]]:
+        """Return outputs (m, K, n_outputs), and reasons of failures."""
+
+    @cached_property
+    def model(self) -> ModelOfPoints | None:
+        """The model by Model Exchange; None if it shows no derivatives."""
+        system = by_model_exchange(self.system)
+        if system is None or len(system.components) > 1:
+            return None
+        return ModelOfPoints(system, self.parameters, self.held, self.experiment.source)
+
+    def parameter(self, name: str, thetas: Floats) -> Floats:
+        """Return the values (m,) of a parameter of the FMU."""
+        if name in self.parameters:
+            return thetas[:, self.parameters.index(name)]
+        value = self.held.get(name, self.system.variable(name, "parameter").start)
+        if not isinstance(value, int | float):
+            raise InputError(f"{self.system.label}: {name!r} has no value. Set it in [model.fixed].")
+        return np.full(len(thetas), float(value))

@@ -1,0 +1,195 @@
+"""Steady states of a model at the operating points of an experiment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+
+import numpy as np
+
+from fmuid.array_types import Floats
+from fmuid.data import SteadyExperiment
+from fmuid.errors import InputError
+from fmuid.formatting import nearest
+from fmuid.models import PHASOR_FORMULAS, MachineTerminals, OperatingPhasors, System, machine_of
+from fmuid.simulation.point_model import ModelOfPoints, PointModel
+from fmuid.simulation.point_simulator import PointSimulator
+from fmuid.simulation.settled_simulation import SettledSimulation
+from fmuid.simulation.simulation_task import Value, column_conversion
+from fmuid.simulation.steady_state import SteadyIssue, SteadyStates, find_steady_states, first_issue
+from fmuid.units import parse_unit
+
+REASONS = {
+    SteadyIssue.NONE: "no steady state. Change the inputs or set guess",
+    SteadyIssue.SEVERAL: "several steady states. Set guess near the right one",
+    SteadyIssue.UNSTABLE: "the steady state is unstable. Remove the row",
+    SteadyIssue.EVENT: "an event at the steady state. Remove the row",
+    SteadyIssue.MOVING: "outputs do not come to rest. Remove the row",
+}
+"""Text of each issue, with the remedy."""
+
+
+class SteadySimulator(PointSimulator):
+    """Outputs of steady states: Newton's method, else simulation until still.
+
+    Two starts are compared, and events sought, at the first theta; stability is tested at each.
+    """
+
+    experiment: SteadyExperiment
+
+    def __init__(
+        self,
+        system: System,
+        experiment: SteadyExperiment,
+        parameters: Sequence[str] = (),
+        *,
+        values: Mapping[str, Value] | None = None,
+    ) -> None:
+        super().__init__(system, experiment, parameters, values=values)
+        self.formulas = tuple(name for name in self.output_names if is_formula(system, name))
+        self.terminals = terminals_of(system, experiment, self.formulas)
+        self.signals = [name for name in self.output_names if name not in self.formulas]
+        self.signals += [] if self.terminals is None else list(self.terminals.currents)
+        self._inputs = dict(zip(experiment.input_names, experiment.input_values.T, strict=True))
+        self._units = {name: experiment.units[name] for name in self._inputs if name in experiment.units}
+        self._is_checked = False
+        for name in self.formulas:
+            if PHASOR_FORMULAS[name].needs_torque:
+                raise InputError(f"{experiment.source}: {name!r} needs frame. Give frequency, voltage and slip.")
+        _ = self._settled  # whose simulators check all names
+
+    @cached_property
+    def _points(self) -> PointModel | None:
+        if self.model is None:
+            return None
+        found = PointModel(self.model, self._inputs, (), self.signals, self._units)
+        return found if found.is_open else None
+
+    @cached_property
+    def _settled(self) -> SettledSimulation:
+        own = ModelOfPoints(self.system, self.parameters, self.held, self.experiment.source)
+        made = SettledSimulation(own, self._inputs, self.signals, self._units)
+        made.check()
+        return made
+
+    def _compute(self, thetas: Floats) -> tuple[Floats, list[str]]:
+        """Return outputs (m, K, n_outputs) of all rows, and reasons of failures."""
+        outputs = np.full((len(thetas), len(self.experiment.times), len(self.output_names)), np.nan)
+        reasons, near = [], None
+        for i, theta in enumerate(thetas):
+            if self._points is None:
+                signals, issue = self._settle(theta)
+            else:
+                signals, issue, near = self._solve(self._points, theta, near)
+            reasons.append("" if issue is None else f"row {issue[0] + 1}: {REASONS[issue[1]]}")
+            if issue is None:
+                outputs[i] = self._outputs(signals)
+        return outputs, reasons
+
+    def _settle(self, theta: Floats) -> tuple[Floats, tuple[int, SteadyIssue] | None]:
+        """Return the signals (K, n) by simulation."""
+        found = np.full((len(self.experiment.times), len(self.signals)), np.nan)
+        for row in range(len(found)):
+            values = self._settled.rest(row, theta)
+            if values is None:
+                return found, (row, SteadyIssue.MOVING)
+            found[row] = values
+        return found, None
+
+    def _solve(
+        self, points: PointModel, theta: Floats, near: Floats | None
+    ) -> tuple[Floats, tuple[int, SteadyIssue] | None, Floats | None]:
+        """Return the signals (K, n), an issue, and states near by."""
+        found = find_steady_states(points, theta, self._start(points, theta) if near is None else near)
+        if near is not None and not found.found.all():
+            found = find_steady_states(points, theta, self._start(points, theta))
+        if not found.found.all():
+            found = self._from_simulations(points, theta, found)
+        issue = first_issue(points, theta, found, first=not self._is_checked, second=not self.experiment.guess)
+        self._is_checked = issue is None
+        return found.models.outputs[0], issue, found.states if issue is None else near
+
+    def _start(self, points: PointModel, theta: Floats) -> Floats:
+        initial = points.initial(theta[None])
+        start = np.zeros(len(points.states)) if initial is None else initial[0]
+        for name, value in self.experiment.guess.items():
+            if name not in points.states:
+                near = nearest(name, points.states)
+                raise InputError(f"{self.experiment.source}: guess: {name!r} is no state{near}.")
+            start[points.states.index(name)] = value
+        return np.tile(start, (len(self.experiment.times), 1))
+
+    def _from_simulations(self, points: PointModel, theta: Floats, found: SteadyStates) -> SteadyStates:
+        """Return the steady states that begin at simulated rest."""
+        assert self.model is not None, "there are points"
+        start, simulation = found.states.copy(), SettledSimulation(self.model, self._inputs, points.states, self._units)
+        for row in np.flatnonzero(~found.found):
+            states = simulation.rest(int(row), theta)
+            if states is None:
+                return found
+            start[row] = states
+        return find_steady_states(points, theta, start)
+
+    def _outputs(self, signals: Floats) -> Floats:
+        """Return the outputs (K, n_outputs) of signals (K, n)."""
+        own = dict(zip(self.signals, signals.T, strict=True))
+        if self.terminals is not None:
+            own |= values_of_formulas(self.formulas, self._phasors(self.terminals, own))
+        return np.column_stack(
+            [in_data_units(self.system, self.experiment, name, own[name]) for name in self.output_names]
+        )
+
+    def _phasors(self, terminals: MachineTerminals, signals: Mapping[str, Floats]) -> OperatingPhasors:
+        voltages = np.array([self._input(name) for name in terminals.voltages])
+        currents = np.array([signals[name] for name in terminals.currents])
+        none = np.full(voltages.shape[1], np.nan)
+        return OperatingPhasors(terminals, voltages + 0j, currents + 0j, 1.0, none, none, np.nan, np.nan)
+
+    def _input(self, name: str) -> Floats:
+        """Return an input (K,) in units of the FMU."""
+        if name not in self._inputs:
+            raise InputError(f"{self.experiment.source}: formulas need the input {name!r}. Add its column.")
+        factor, offset = column_conversion(self.system, name, self._units[name]) if name in self._units else (1.0, 0.0)
+        return np.asarray(factor * self._inputs[name] + offset)
+
+
+def is_formula(system: System, name: str) -> bool:
+    """Return whether an output is a formula, not a variable."""
+    return name in PHASOR_FORMULAS and name not in system.variables
+
+
+def terminals_of(system: System, experiment: SteadyExperiment, formulas: Sequence[str]) -> MachineTerminals | None:
+    """Return the terminals that formulas need; an `InputError` without a declaration."""
+    if not formulas and experiment.supply is None:
+        return None
+    declared = machine_of(system)
+    if declared is None:
+        what = repr(formulas[0]) if formulas else "frame"
+        place = f"{system.label.removesuffix('.fmu')}.nameplate.toml"
+        raise InputError(f"{experiment.source}: {what} needs terminals. Declare them in {place} beside the FMU.")
+    return declared.terminals
+
+
+def values_of_formulas(names: Sequence[str], phasors: OperatingPhasors) -> dict[str, Floats]:
+    """Return the values (K,) of formulas."""
+    return {name: PHASOR_FORMULAS[name].value(phasors) for name in names}
+
+
+def in_data_units(system: System, experiment: SteadyExperiment, name: str, values: Floats) -> Floats:
+    """Return an output (K,) in the unit of the data."""
+    unit = experiment.units.get(name)
+    if unit is None:
+        return values
+    if is_formula(system, name):
+        factor = unit_factor(PHASOR_FORMULAS[name].unit, unit, f"{experiment.source}: output {name!r}")
+        return values * factor
+    factor, offset = column_conversion(system, name, unit)
+    return np.asarray((values - offset) / factor)
+
+
+def unit_factor(own: str, other: str, what: str) -> float:
+    """Return the factor from one unit to another; an `InputError` if they do not convert."""
+    one, two = parse_unit({"var": "V*A"}.get(own, own)), parse_unit({"var": "V*A"}.get(other, other))
+    if one is None or two is None or one.exponents != two.exponents:
+        raise InputError(f"{what}: unit {other!r} does not convert from {own!r}. Correct the header or set units.")
+    return one.factor / two.factor

@@ -1,0 +1,148 @@
+"""Steady states: all derivatives of the states are zero.
+
+Damped Newton iterations with the natural monotonicity test (Deuflhard, Newton Methods for Nonlinear Problems, 2004,
+section 3.3), all rows at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from fmuid.array_types import Flags, Floats
+from fmuid.simulation.point_model import PointModel, StateSpace
+
+
+@dataclass(frozen=True)
+class NewtonSettings:
+    """Numbers of the search for steady states."""
+
+    most_iterations: int = 60
+    tolerance: float = 1e-9  # last step, relative to state or nominal value; the next would be its square
+    least_damping: float = 1e-4
+    singular: float = 1e-12  # smallest singular value of A in nominal values
+    rest: float = 1e-9  # rate that no step changes, over the largest of its terms
+    same: float = 1e-6  # relative difference of two solutions that are one
+    unstable: float = 1e-6  # real part of an eigenvalue over the largest magnitude
+    away: float = 3.0  # second start, in nominal values from the first
+
+
+SETTINGS = NewtonSettings()
+
+
+class SteadyIssue(Enum):
+    """Reason why a row has no steady state."""
+
+    NONE = "none"
+    """No iteration ends at one."""
+    SEVERAL = "several"
+    """Two starts end at different stable ones."""
+    UNSTABLE = "unstable"
+    EVENT = "event"
+    """There is an event at the point."""
+    MOVING = "moving"
+    """The simulation does not come to rest."""
+
+
+@dataclass(frozen=True, eq=False)
+class SteadyStates:
+    """Steady states (K, n_x) of one theta, with linear models."""
+
+    states: Floats
+    models: StateSpace
+    found: Flags
+
+
+def find_steady_states(model: PointModel, theta: Floats, start: Floats) -> SteadyStates:
+    """Return the steady states from start (K, n_x); rows that end at none begin again at a neighbor's solution."""
+    found = _newton(model, theta, start)
+    if found.found.any() and not found.found.all():
+        near = np.flatnonzero(found.found)
+        nearest = near[np.abs(np.arange(len(start))[:, None] - near).argmin(axis=1)]
+        return _newton(model, theta, np.where(found.found[:, None], found.states, found.states[nearest]))
+    return found
+
+
+def _newton(model: PointModel, theta: Floats, start: Floats) -> SteadyStates:
+    """Iterate all rows, each with its own damping."""
+    thetas, states = theta[None], start.copy()
+    scale = np.maximum(np.abs(states), model.nominals)
+    models = model.at(states, thetas)
+    steps, damping = _steps(models, models.rates[0], scale), np.ones(len(states))
+    done, lost = np.zeros((2, len(states)), dtype=np.bool_)
+    for _ in range(SETTINGS.most_iterations):
+        sizes = _norm(steps / scale)
+        done |= sizes <= SETTINGS.tolerance
+        lost |= ~np.isfinite(sizes) | (damping < SETTINGS.least_damping)
+        moving = ~done & ~lost
+        if not moving.any():
+            break
+        trial = np.where(moving[:, None], states + damping[:, None] * steps, states)
+        others = model.at(trial, thetas)
+        bar = _steps(models, others.rates[0], scale)
+        better = moving & (_norm(bar / scale) <= (1.0 - 0.25 * damping) * sizes)
+        damping = np.where(better, np.minimum(1.0, 2.0 * damping), np.where(moving, 0.5 * damping, damping))
+        states = np.where(better[:, None], trial, states)
+        models = _chosen(better, others, models)
+        scale = np.maximum(np.abs(states), model.nominals)
+        steps = np.where(better[:, None], _steps(models, models.rates[0], scale), steps)
+    final = np.where(done[:, None], states + np.nan_to_num(steps), states)  # by the square of a small step nearer
+    return SteadyStates(final, model.at(final, thetas), done)
+
+
+def _steps(models: StateSpace, rates: Floats, scale: Floats) -> Floats:
+    """Return Newton's steps (K, n_x), the shortest where A is singular; NaN where no step makes the rates zero."""
+    scaled = models.a[0] * scale[:, None]
+    rows = np.abs(scaled).max(axis=2)
+    well = np.isfinite(rows).all(axis=1) & np.isfinite(rates).all(axis=1)
+    rows = np.where(well[:, None], rows, 1.0)
+    unit = np.where(rows > 0.0, rows, 1.0)
+    balanced = np.where(well[:, None, None], scaled, 0.0) / unit[..., None]
+    right = np.where(well[:, None], rates, 0.0) / unit
+    found = -(np.linalg.pinv(balanced, rcond=SETTINGS.singular) @ right[..., None])[..., 0]
+    rest = np.abs((balanced @ found[..., None])[..., 0] + right)
+    reached = well & (rest <= np.where(rows > 0.0, SETTINGS.rest, 0.0)).all(axis=1)
+    return np.where(reached[:, None], found * scale, np.nan)
+
+
+def _chosen(which: Flags, new: StateSpace, old: StateSpace) -> StateSpace:
+    """Return the new models of some rows (K,), else the old ones."""
+    parts = [
+        np.where(which.reshape(1, -1, *[1] * (one.ndim - 2)), one, other)
+        for one, other in zip(vars(new).values(), vars(old).values(), strict=True)
+    ]
+    return StateSpace(*parts)
+
+
+def _norm(steps: Floats) -> Floats:
+    return np.asarray(np.abs(steps).max(axis=1, initial=0.0))
+
+
+def first_issue(
+    model: PointModel, theta: Floats, found: SteadyStates, *, first: bool, second: bool
+) -> tuple[int, SteadyIssue] | None:
+    """Return the first row without a usable steady state, and the reason.
+
+    At the `first` theta, events are sought, and with `second` other starts.
+    """
+    values = np.linalg.eigvals(np.nan_to_num(found.models.a[0]))
+    largest = np.abs(values).max(axis=1, initial=0.0)
+    tests = [
+        (~found.found, SteadyIssue.NONE),
+        ((values.real > SETTINGS.unstable * largest[:, None]).any(axis=1), SteadyIssue.UNSTABLE),
+    ]
+    if first:
+        tests.append((model.events(found.states, theta), SteadyIssue.EVENT))
+        tests += [(_differs(model, theta, found, sign), SteadyIssue.SEVERAL) for sign in (1.0, -1.0) if second]
+    return next(((int(rows.argmax()), issue) for rows, issue in tests if rows.any()), None)
+
+
+def _differs(model: PointModel, theta: Floats, found: SteadyStates, sign: float) -> Flags:
+    """Return whether each row (K,) has another stable steady state."""
+    scale = np.maximum(np.abs(found.states), model.nominals)
+    other = _newton(model, theta, found.states + sign * SETTINGS.away * scale)
+    apart = other.found & (_norm((other.states - found.states) / scale) > SETTINGS.same)
+    real = np.linalg.eigvals(np.nan_to_num(other.models.a[0])).real
+    return np.asarray(apart & (real < 0.0).all(axis=1))

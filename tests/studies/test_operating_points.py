@@ -1,0 +1,78 @@
+"""Studies with experiments that have no time."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+import fmuid
+from fmuid.errors import InputError
+from tests.support.paths import FMUS
+from tests.support.resting import MACHINE, three_tests
+
+STEADY = """
+[model]
+fmu = "InductionMachine.fmu"
+[[experiments]]
+kind = "steady"
+data = "tests.csv"
+outputs = { I_rms = "I", P = "P" }
+frame = { frequency = 50.0, voltage = "U", slip = "s" }
+[parameters]
+Rs = { start = 15.0, min = 0.1 }
+Rr = { start = 2.0, min = 0.1 }
+Lm = { start = 0.3, min = 0.01 }
+Lf = { start = 0.1, min = 0.001 }
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for suffix in (".fmu", ".nameplate.toml"):
+        shutil.copy(FMUS / f"InductionMachine/InductionMachine{suffix}", tmp_path)
+    three_tests().rename(columns={"P": "P (W)"}).to_csv(tmp_path / "tests.csv", index=False)
+    return tmp_path
+
+
+def study_of(folder: Path, text: str = STEADY) -> fmuid.Study:
+    path = folder / "study.toml"
+    path.write_text(text, encoding="utf-8")
+    return fmuid.Study.read(path)
+
+
+def test_a_table_of_tests_gives_the_machine(folder: Path) -> None:
+    found = fmuid.run(study_of(folder), folder / "out")
+    assert found.succeeded
+    assert found.result.values == pytest.approx(list(MACHINE.values()), rel=1e-6)
+    assert (folder / "out/report.html").is_file()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('kind = "steady"', "", r'experiments\[0\].frame: needs kind = "steady"'),
+        ('data = "tests.csv"', 'data = "tests.csv"\ntime = "t"', 'time: kind = "steady" has no time. Remove time.'),
+        ('data = "tests.csv"', 'data = "tests.csv"\nwarmup = 1.0', "Remove warmup"),
+        ('data = "tests.csv"', 'data = "tests.csv"\npreprocess = { detrend = "mean" }', "only computed_columns"),
+        ('slip = "s"', 'slip = "s", speed = "n"', "frame: give either slip or speed"),
+        ('slip = "s"', 'speed = "n"', "speed needs pole_pairs"),
+        ('slip = "s"', 'slip = "slip"', "input column 'slip' not found"),
+        ("frequency = 50.0", "frequency = 0.0", "frequency must be above 0 Hz"),
+        ('P = "P"', 'torque = "T"', "'torque' needs pole_pairs in frame"),
+        ('P = "P"', 'ids = "P"', "with frame, outputs are I_rms, P, Q, S"),
+        ('kind = "steady"', 'kind = "static"', 'must be "time" or "steady"'),
+    ],
+)
+def test_wrong_keys_are_refused_in_one_sentence(folder: Path, old: str, new: str, message: str) -> None:
+    assert STEADY.count(old) == 1
+    with pytest.raises(InputError, match=message):
+        study_of(folder, STEADY.replace(old, new)).problem()
+
+
+def test_a_table_without_times_names_the_kind(folder: Path) -> None:
+    three_tests().drop(columns="T").to_csv(folder / "tests.csv", index=False)  # which might be a time
+    text = STEADY.replace('kind = "steady"', "").replace("frame = {", "# ")
+    with pytest.raises(InputError, match=r'or set kind = "steady" for rows without times'):
+        study_of(folder, text).problem()
