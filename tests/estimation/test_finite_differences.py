@@ -102,19 +102,6 @@ def test_jacobian_of_outputs_that_jump(digits: int, forward: float, central: flo
     assert error(finite.jacobian(THETA, base, central=True), exact) < central
 
 
-def test_planned_steps_follow_the_noise() -> None:
-    """Forward steps go with the square root of the noise, central ones with its cube root."""
-    steps = []
-    for std in (1e-6, 1e-12):
-        finite = Derivatives(bounded_function(decay), np.full(300, std), 1.0)
-        for _ in range(2):
-            finite.jacobian(THETA, decay(THETA[None])[0], central=True)
-        steps.append((finite.forward_steps[1], finite.central_steps[1]))
-    assert np.divide(steps[0], steps[1]) == pytest.approx([1e3, 1e2], rel=0.05)
-    curvature = np.sqrt(np.mean((2.0 * TIMES**2 * np.exp(-0.7 * TIMES)) ** 2))
-    assert steps[0][0] * 0.7 == pytest.approx(2.0 * np.sqrt(1e-6 / curvature), rel=0.01)
-
-
 def test_failing_neighbours_are_avoided() -> None:
     def fragile(thetas: Floats) -> Floats:
         outputs = decay(thetas)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
-from fmuid.data import Experiment, JointPrior, Normal, Parameter
+from fmuid.data import Experiment, JointPrior, Parameter
 from fmuid.data.noise import Noise
 from fmuid.errors import InputError, SimulationError
 from fmuid.estimation.cost_function import prepare
@@ -62,15 +62,6 @@ def test_an_experiment_is_not_simulated_again_for_the_parameters_of_others() -> 
     evaluator.predict(np.array([[1.0, 2.0, 3.0], [1.0, 2.0, 4.0], [1.0, 2.5, 3.0]]))
     assert evaluator.simulations - before == 4
     assert fakes[0].taken[-1].tolist() == [[1.0, 2.0], [1.0, 2.5]]
-
-
-def test_prior_rows_follow_the_data() -> None:
-    """The compound criterion (1.37), and its rows' derivative −W."""
-    parameters = {"k": Parameter(1.0, prior=Normal(1.4, 0.1)), "gain": Parameter(3.0)}
-    problem = LeastSquares([Fake()], [table()], parameters, noise=Noise(1.0))
-    residual, jacobian = prepare(Evaluator(problem)).criterion.evaluate([1.2, 2.0])
-    assert residual[100:] == pytest.approx([2.0])
-    assert jacobian[100:].tolist() == [[-10.0, 0.0]]
 
 
 def test_first_variances() -> None:

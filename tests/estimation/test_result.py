@@ -226,25 +226,6 @@ def test_result_as_prior(found: Result) -> None:
             found.prior(**words)
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("{", "JSON"),
-        ("{}", "schema.*'fmuid/result/2'"),
-        ('{"schema": "fmuid/diagnosis/2"}', "'fmuid/diagnosis/2'"),
-        ("[]", "schema"),
-        ('{"schema": "fmuid/result/2"}', "parameters"),
-        (None, "cannot be read"),
-    ],
-)
-def test_file_that_is_no_result_is_refused(tmp_path: Path, text: str | None, said: str) -> None:
-    path = tmp_path / "result.json"
-    if text is not None:
-        path.write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match=said):
-        Result.from_json(path)
-
-
 def test_damaged_result_is_refused_by_its_place(tmp_path: Path, found: Result) -> None:
     path, whole = tmp_path / "result.json", RESULT | as_json(found)
     coil, names = {"name": "Coil", "digest": "0"}, whole["covariance"] | {"names": ["x", "y"]}

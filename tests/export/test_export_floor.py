@@ -89,20 +89,6 @@ def test_whole_numbers_are_frozen_in_continuous_time_mode(exported: Exporter, fm
         assert test.derivatives() == [-13.0]
 
 
-def test_derivatives_and_where_there_are_no_events(exported: Exporter) -> None:
-    """Derivatives are those of the piece in force."""
-    quiet = "z = noEvent(floor(x)) + noEvent(mod(u, 2)) + ceil(a) + b;"
-    text = model(
-        f"y = mod(u, a) + 7*floor(x + a) + 3*ceil(u); {quiet}", "output Real z; parameter Real b = mod(-7, 3);"
-    )
-    with running(exported(text)) as test:
-        assert test.description.numberOfEventIndicators == 6  # two each for mod, floor and ceil outside noEvent
-        test.initialize({"a": 0.4, "u": 1.0})
-        assert [test.slopes(["y"], each)[0] for each in "uax"] == [1.0, -2.0, 0.0]
-        test.set({"u": 3.5})
-        assert test.get("b", "z") == [2.0, 0.0 + 1.5 + 1.0 + 2.0]
-
-
 @both_versions
 def test_chattering_and_not_finite_name_function_and_time(exported: Exporter, fmi: str) -> None:
     with running(exported(model("y = floor(1000*time) + 0*ceil(sqrt(a - time));"), fmi=fmi)) as test:

@@ -4,14 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fmpy.validation import validate_fmu
 
 from fmuid.errors import InputError
 from fmuid.export import export_fmu
 from tests.export.conftest import Exporter
 from tests.support.exported import running
-from tests.support.exporting import description
-from tests.support.modelica import FRICTION
 from tests.support.paths import FMUS
 
 models = pytest.mark.parametrize("model", ["InductionMachine", "PositionController"])
@@ -43,44 +40,6 @@ def test_model_exchange_is_that_of_fmi_2(exported: Exporter, model: str) -> None
             assert three.indicators() == []
             for known in [*inputs, *(v.derivative.name for v in rates)]:
                 assert two.slopes(computed, known) == three.slopes(computed, known)
-
-
-def test_description_of_a_model_with_events(exported: Exporter) -> None:
-    fmu = exported(FRICTION, fmi="3.0")
-    assert validate_fmu(str(fmu)) == []
-    root = description(fmu)
-    variables = {v.get("valueReference"): v for v in root.iter("Float64")}
-    names = {reference: v.get("name") for reference, v in variables.items()}
-    structure = {
-        (element.tag, names[element.get("valueReference")]): " ".join(
-            sorted(str(names[r]) for r in element.get("dependencies", "?").split())
-        )
-        for element in root.findall("ModelStructure/*")
-    }
-    assert structure == {
-        ("Output", "x"): "x",
-        ("Output", "v"): "v",
-        ("Output", "impulse"): "impulse",
-        ("ContinuousStateDerivative", "der(x)"): "v",
-        ("ContinuousStateDerivative", "der(v)"): "F v",
-        ("ContinuousStateDerivative", "der(impulse)"): "v",
-        ("InitialUnknown", "x"): "",
-        ("InitialUnknown", "v"): "v_start",
-        ("InitialUnknown", "impulse"): "",
-        ("InitialUnknown", "der(x)"): "v_start",
-        ("InitialUnknown", "der(v)"): "F Fc m v_start",
-        ("InitialUnknown", "der(impulse)"): "Fc v_start",
-        ("EventIndicator", "relation[1]"): "v",
-        ("EventIndicator", "relation[2]"): "v",
-    }
-    derivatives = {v.get("name"): names[v.get("derivative")] for v in variables.values() if v.get("derivative")}
-    assert derivatives == {"der(x)": "x", "der(v)": "v", "der(impulse)": "impulse"}
-    interface = root.find("CoSimulation")
-    assert interface is not None
-    assert {k for k, v in interface.attrib.items() if v == "true"} == {
-        *("canGetAndSetFMUState", "canSerializeFMUState", "providesDirectionalDerivatives"),
-        "canHandleVariableCommunicationStepSize",
-    }
 
 
 def test_state_is_saved_restored_and_serialized(exported: Exporter) -> None:

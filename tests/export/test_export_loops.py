@@ -9,7 +9,7 @@ import scipy.linalg
 
 from fmuid.export.algebraic_loops import solve_linear
 from tests.export.conftest import Exporter
-from tests.support.exported import Running, both_versions, running
+from tests.support.exported import both_versions, running
 
 DECAY = """model Decay "dx/dt = -x^a"
   parameter Real a = 2.5, x_start = 2;
@@ -143,33 +143,6 @@ def test_coupled_coils_and_their_sensitivities(exported: Exporter, fmi: str) -> 
             ends = [coil_currents(0.3, 4.0, COIL_VALUES | {name: value + k * h}) for k in (-2, -1, 1, 2)]
             slope = (ends[0] - 8 * ends[1] + 8 * ends[2] - ends[3]) / (12 * h)
             assert coils.get(f"sens.{name}.i1", f"sens.{name}.i2") == pytest.approx(slope, rel=1e-8)
-
-
-def check_derivatives(coils: Running, values: dict[str, float], i: list[float]) -> None:
-    """Check the directional derivatives of the currents: di = L⁻¹ (dpsi - dL i)."""
-    L = np.array([[values["L1"], values["M"]], [values["M"], values["L2"]]])
-    changes = {"L1": [[1, 0], [0, 0]], "L2": [[0, 0], [0, 1]], "M": [[0, 1], [1, 0]]}
-    expected = {name: -np.linalg.solve(L, np.array(change) @ i) for name, change in changes.items()}
-    expected |= {name: np.linalg.solve(L, row) for name, row in zip(("psi1", "psi2"), np.eye(2), strict=True)}
-    for name, slopes in (expected | {"R1": np.zeros(2)}).items():
-        assert coils.slopes(["i1", "i2"], name) == pytest.approx(slopes, rel=1e-12)
-
-
-def test_coupled_coils_in_model_exchange(exported: Exporter) -> None:
-    """With inductances of either order of size, and with none on the diagonal: the other coil's flux alone."""
-    with running(exported(COILS), model_exchange=True) as coils:
-        for changed in ({}, {"L1": 0.001, "M": 0.01}, {"L1": 0.0, "L2": 0.0}):
-            values = COIL_VALUES | changed
-            coils.initialize(values)
-            coils.update()
-            coils.set({"u": 2.0})
-            psi = [0.2, -0.4]
-            coils.at(0.1, *psi)
-            i = np.linalg.solve([[values["L1"], values["M"]], [values["M"], values["L2"]]], psi)
-            assert coils.get("i1", "i2") == pytest.approx(i, rel=1e-14)
-            assert coils.derivatives() == pytest.approx([2.0 - 2.0 * i[0], -3.0 * i[1]], rel=1e-14)
-            check_derivatives(coils, values, i.tolist())
-            coils.fmu.reset()
 
 
 def test_matrix_that_becomes_singular(exported: Exporter) -> None:

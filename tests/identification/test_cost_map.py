@@ -59,17 +59,6 @@ def test_map_is_the_cost() -> None:
     assert (row["a"], row["b"], row["cost"]) == (first[2], second[5], values[2, 5])
 
 
-def test_default_reach() -> None:
-    """Four standard deviations, but not beyond a bound."""
-    problem = linear(2, min=0.98)
-    chart, result = chart_of(problem)
-    assert chart.shape == (41, 41)
-    first, second, _ = chart.grid
-    assert (first[0], first[-1]) == pytest.approx((0.98, result["a"] + 4 * result.std[0]))
-    assert (second[0], second[-1]) == pytest.approx((result["b"] - 4 * result.std[1], result["b"] + 4 * result.std[1]))
-    assert chart.logarithmic == (False, False)
-
-
 def test_undetermined_parameters_reach_to_their_bounds() -> None:
     """Or, without bounds, as far as they are large; there is no ellipse."""
     problem = LeastSquares.from_function(

@@ -151,27 +151,6 @@ def test_a_model_that_is_wrong_is_confirmed_by_a_second_start(curved: Path) -> N
     assert kept.trouble is SearchFailure.MODEL_ERROR
 
 
-def test_two_searches_that_agree_end_it_however_large_the_residual_is(tmp_path: Path) -> None:
-    """The lag's damping is of third power: its best fit, and that of its equations, is far above the noise."""
-    model = "model Lag\n parameter Real a=1, b=1;\n input Real u;\n output Real x(start=0, fixed=true);\n"
-    times, rng = np.linspace(0.0, 8.0, 401), np.random.default_rng(4)
-    u = np.repeat(rng.uniform(-3.0, 3.0, 21), 20)[:401]
-    x = np.zeros(401)
-    for k in range(400):
-        for _ in range(20):
-            x[k + 1] = (x[k + 1] or x[k]) + 1e-3 * (2.0 * u[k] - x[k + 1] ** 3)
-    frame = pd.DataFrame({"time": times, "u": u, "x": x + 1e-3 * rng.standard_normal(401)})
-    experiment = fmuid.Experiment(frame, ["u"], ["x"], interpolation="zoh")
-    parameters = {"a": fmuid.Parameter(3.0, min=0.0), "b": fmuid.Parameter(1.0, min=0.0)}
-    fmu = export_text(tmp_path, f"{model}equation\n der(x) = b*u - a*x;\nend Lag;")
-    result = fmuid.identify(fmuid.Problem(fmu, experiment, parameters))
-    assert result.converged
-    assert len([each for each in result.history.restarts if each.trouble is not SearchFailure.FAR]) == 2
-    kept = next(each for each in result.history.restarts if each.kept)
-    assert kept.trouble is SearchFailure.MODEL_ERROR
-    assert kept.noise_ratio > 15.0
-
-
 def ended(remedy: StartingPointSource, values: list[float], worth: float = 0.0, number: int = 0) -> EndedSearch:
     """A search that ended with standard deviations of 0.1, the second one without end."""
     result: Any = SimpleNamespace(values=np.array(values), std=np.array([0.1, np.inf]))

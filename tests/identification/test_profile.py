@@ -152,17 +152,6 @@ def test_simulations_fail_before_the_level(edge: float, within: float, std: floa
     assert profile.values[-1] == pytest.approx(edge, abs=within)
 
 
-def test_ends_at_its_own_bound() -> None:
-    problem = rise_problem(std=0.5)
-    free = only(problem, identify(problem), "rate")
-    bound = 0.5 * (free.value + free.upper)
-    problem = rise_problem(std=0.5, searched=Parameter(0.5, max=bound))
-    profile = only(problem, identify(problem), "rate")
-    assert profile.upper == bound
-    assert profile.lower == pytest.approx(free.lower, rel=1e-5)
-    assert [each.kind for each in profile.remarks] == [EndKind.BOUND]
-
-
 def test_estimate_on_its_bound() -> None:
     free = identify(rise_problem())
     bound = float(free["rate"] + free.std[1])

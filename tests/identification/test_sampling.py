@@ -10,7 +10,6 @@ from scipy.integrate import quad
 from fmuid.data import Noise, Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation import Evaluator, LeastSquares
-from fmuid.events import Event, SamplingStep
 from fmuid.identification import SamplerSettings, SamplingWarning, sample_posterior
 from fmuid.identification.posterior import effective_size, r_hat
 from fmuid.identification.sampler import log_density
@@ -42,25 +41,6 @@ def test_too_few_steps_are_not_trusted() -> None:
     assert not posterior.converged
     few, _ = sampled(problem, max_steps=500, effective_size=1_000_000)
     assert few.doubt is SamplingWarning.TOO_FEW
-
-
-def test_interrupted_keeps_what_there_is() -> None:
-    problem, _ = linear()
-    seen: list[SamplingStep] = []
-
-    def stop(step: Event) -> None:
-        assert isinstance(step, SamplingStep)
-        seen.append(step)
-        if step.step == 40:
-            raise KeyboardInterrupt
-
-    posterior = sample_posterior(problem, identify(problem), progress=stop)
-    assert len(posterior.chain) == 40
-    assert posterior.interrupted
-    assert not posterior.converged
-    assert posterior.samples.shape == (30 * 16, 2)
-    assert seen[-1].acceptance > 0.2
-    assert seen[-1].wanted == 2000
 
 
 def test_interrupted_inside_a_simulation(capsys: pytest.CaptureFixture[str]) -> None:

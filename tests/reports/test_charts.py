@@ -55,20 +55,6 @@ def test_fit_with_band() -> None:
         near([band["y0"], band["y1"]], [middle - 0.5, middle + 0.5], atol=1e-6)
 
 
-def test_long_fit_is_downsampled_for_each_interval() -> None:
-    given = records.record(samples=200_000)
-    given.simulated[123_457, 1] = 40.0
-    grid = fit.fit_charts(given)
-    (dots,), (line,) = drawn(grid.charts[2], "points"), drawn(grid.charts[2], "line")
-    assert len(dots["x"]) <= chart.LIMITS.dots
-    assert len(line["x"]) < 1.2 * chart.LIMITS.rows
-    assert np.nanmax(line["y"]) == 40.0
-    assert np.ptp(np.diff(dots["x"])) < 2e-3
-    assert grid.live is not None
-    (zoomed,) = drawn(grid.live(100.0, 101.0).charts[0], "line")
-    np.testing.assert_array_equal(zoomed["x"], given.times[99_999:101_001])
-
-
 def test_worst_outputs_and_experiments_are_shown() -> None:
     many = records.record(outputs=chart.LIMITS.outputs + 1)
     many.simulated[:, 0] = many.measured[:, 0]

@@ -4,14 +4,12 @@ import contextlib
 import errno
 import gc
 import os
-import shutil
 import signal
 import subprocess
 import sys
 import threading
 import time
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +17,6 @@ import numpy as np
 import psutil
 import pytest
 
-import fmuid
 from fmuid import Experiment, FmuidError, Isolation, SimulationError, Simulator, System
 from fmuid.array_types import Floats
 from fmuid.processes import SERVER, Child, HostExitError, ProcessEnd
@@ -282,15 +279,3 @@ def test_host_that_never_begins_is_one_sentence(folder: Path, monkeypatch: pytes
     monkeypatch.setattr(FmuHost, "order", order)
     with pytest.raises(FmuidError, match=r"\.fmu: its process ends repeatedly"):
         simulator([2.0, 0.5, 0.0])
-
-
-def test_path_belongs_to_the_folder_where_it_was_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    coil = fmuid.datasets.coil()
-    shutil.copy(coil.fmu, tmp_path / "Mine.fmu")
-    given = partial(Simulator, experiment=coil.experiment, parameters=list(coil.parameters), isolation=Isolation())
-    values = [parameter.start for parameter in coil.parameters.values()]
-    expected_outputs = given(coil.fmu)(values)
-    monkeypatch.chdir(tmp_path)
-    mine = given("Mine.fmu")
-    monkeypatch.chdir(tmp_path.parent)
-    assert np.array_equal(mine(values), expected_outputs)

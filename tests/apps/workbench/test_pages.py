@@ -86,25 +86,6 @@ def test_first_page_lists_studies_and_results(tmp_path: Path) -> None:
     assert ">running<" in _studies(folder, studies, results, {(tmp_path / "a/study.toml").resolve()})
 
 
-def test_results_side_by_side(tmp_path: Path) -> None:
-    told: dict[str, dict[str, Any]] = {
-        "first": {"R": {"value": 4.0, "unit": "Ohm"}, "L": {"value": 2.0, "unit": "H"}, "k": {"value": 1.0}},
-        "second": {"R": {"value": 4.5}, "L": {"value": 2000.0, "unit": "mH"}},  # of an earlier version: R without
-    }
-    for name, parameters in told.items():
-        (tmp_path / name).mkdir()
-        rest = {"std": 0.1, "start": 1.0, "degrees_of_freedom": "inf", "lower": "-inf", "upper": "inf"}
-        whole = {key: rest | each for key, each in parameters.items()}
-        result(tmp_path / name, {key: (each["value"], 0.1) for key, each in parameters.items()}, parameters=whole)
-    body, ((_, (drawn,)),) = _compared(Folder(tmp_path), [tmp_path / "first", tmp_path / "second"])
-    table = body.partition("</table>")[0]
-    rows = [re.findall(r"<t[hd][^>]*>([^<]*)<", row) for row in table.split("<tr>")[2:]]
-    assert rows[0] == ["R (Ohm)", "4.00 ± 0.10", "4.50 ± 0.10"]
-    assert rows[1:] == [["L (H)", "2.00 ± 0.10", ""], ["k", "1.00 ± 0.10", ""], ["L (mH)", "", "2000.00 ± 0.10"]]
-    assert "fmuid compare first second" in body
-    assert len(drawn["roots"]) == 1  # nothing stands beside what only one has, nor beside another unit
-
-
 def test_results_lead_to_remedies(tmp_path: Path) -> None:
     for k, name in enumerate(("first.csv", "other.csv")):
         coil_table(tmp_path / name, 0.0, seed=k)

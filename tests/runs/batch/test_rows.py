@@ -1,6 +1,5 @@
 """Rows of cases: estimates of a Monte Carlo, noise drawn, values held, checks of the solver."""
 
-import itertools
 import math
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,6 @@ import pandas as pd
 import pytest
 from numpy.typing import NDArray
 
-from fmuid.data import Parameter
 from fmuid.data.data_file import read_data
 from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError
@@ -69,23 +67,6 @@ def test_records_are_identified_as_studies_of_their_own(case_folder: Path) -> No
         assert [row["std.R"], row["std.L"]] == result.std.tolist()
         assert (row["noise.i"], row["cost"]) == (result.fit.noise_variance["i"], result.fit.cost)
         assert (row["iterations"], row["simulations"]) == (result.history.iterations, result.history.simulations)
-
-
-def test_sweeps_and_subsets_are_studies_of_their_own(case_folder: Path) -> None:
-    study = study_of(case_folder, {"sweep": {"L": [0.1, 0.12]}, "starting_points": [{"R": 2.0}, {"R": 5.0}]})
-    runner = CaseRunner(study)
-    for k, (held, start) in enumerate(itertools.product((0.1, 0.12), (2.0, 5.0))):
-        row = runner(k).row
-        parameters = {"R": Parameter(start, min=0.5, max=8.0)}
-        result = identify(Problem(study.system, study.tables, parameters, values={"L": held}), restart=False)
-        assert (row["value.R"], row["set.L"], row["start.R"]) == (result["R"], held, start)
-        assert math.isnan(row["value.L"])  # type: ignore[arg-type]
-    runner = CaseRunner(study_of(case_folder, {"free_parameters": [["R"], ["R", "L"]]}))
-    alone, both = runner(0).row, runner(1).row
-    held_at_start = Problem(study.system, study.tables, {"R": study.parameters["R"]}, values={"L": 0.2})
-    assert alone["value.R"] == identify(held_at_start, restart=False)["R"]
-    assert math.isnan(alone["std.L"])  # type: ignore[arg-type]
-    assert both["value.L"] == identify(study.problem(), restart=False)["L"]
 
 
 def test_noise_is_common_to_what_it_is_compared_over_and_differs_else(case_folder: Path) -> None:

@@ -2,14 +2,13 @@
 
 import re
 import zipfile
-from dataclasses import replace
 from pathlib import Path
 
 import fmpy
 import pytest
 
 from fmuid import FMU, InputError
-from fmuid.models import Unit, Variable, read_ssv, with_starts
+from fmuid.models import Variable, read_ssv, with_starts
 from fmuid.models import untrusted_xml as safe_xml
 from fmuid.models.ssp import read_ssp
 from fmuid.simulation.instance import Instance
@@ -44,15 +43,6 @@ def test_units_convert_both_ways(probe: ProbeMaker) -> None:
     )  # which it does not define
     with pytest.raises(InputError, match="u: column unit 'deg' does not convert to 'rad/s'"):
         description.conversion(speed, "deg")
-
-
-def test_display_units_are_the_fmus_own() -> None:
-    """Of one with an offset, as the standard's example has it: degF = 1.8 K - 459.67."""
-    kelvin = Unit("K", (0, 0, 0, 0, 1, 0, 0, 0), 1.0, 0.0, {"my_degF": (1.8, -459.67)})
-    described = replace(FMU(FMUS / "Coil" / "Coil.fmu").description, units={"K": kelvin})
-    warm = next(iter(described.variables.values()))._replace(unit="K")
-    factor, offset = described.conversion(warm, "my_degF")
-    assert factor * 212.0 + offset == pytest.approx(373.15)
 
 
 def test_a_variable_without_a_unit_takes_what_needs_no_conversion(probe: ProbeMaker) -> None:

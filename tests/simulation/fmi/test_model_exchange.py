@@ -101,18 +101,6 @@ def test_cubic_inputs(name: str, drawn: tuple[Array, Array]) -> None:
     assert np.abs(got - expected).max() < 2e-8 * np.abs(expected).max()
 
 
-def test_cubic_inputs_of_co_simulation(drawn: tuple[Array, Array]) -> None:
-    """By chords over ten substeps: near the exact answer, and nearer than a straight line or a held value is."""
-    times, u = drawn
-    expected = curved_response(times, u, 4.0, 0.1)
-    errors = [
-        np.abs(Simulator(COIL, record(times, {"u": u}, ["i"], word))([])[:, 0] - expected).max()
-        for word in ("pchip", "linear", "zoh")
-    ]
-    assert errors[0] < 2e-3 * np.abs(expected).max()
-    assert errors[0] < 0.05 * min(errors[1:])
-
-
 def test_interpolation_is_chosen_for_each_input() -> None:
     """One record under three machines' inputs: what is held, straight and curved stays so beside the others."""
     times = np.linspace(0.0, 0.02, 30)

@@ -3,7 +3,6 @@
 # ruff: noqa: E501  # the model descriptions read best one variable a line
 
 import itertools
-import re
 from pathlib import Path
 from typing import Any
 
@@ -191,23 +190,3 @@ def test_defaults_and_what_they_exclude(
                 read_description(path)
         else:
             assert as_read(read_description(path)) == theirs
-
-
-@pytest.mark.parametrize(
-    ("text", "variable", "name"),
-    [
-        (FMI2, '<ScalarVariable name="R" valueReference="99" causality="parameter" variability="fixed">'
-         '<Real start="5"/></ScalarVariable>', "R"),
-        (FMI_3, '<Float64 name="R" valueReference="99" causality="parameter" variability="fixed" start="5"/>', "R"),
-        (FMI_3, '<Float64 name="other" valueReference="99"><Alias name="R"/></Float64>', "R"),
-        (FMI_3, '<Float64 name="A[2,1]" valueReference="99"/>', "A[2,1]"),
-        (FMI_3, '<Float32 name="B" valueReference="99"><Dimension start="2"/></Float32>', "B[1]"),
-    ],
-    ids=["2", "3", "alias", "element", "array"],
-)  # fmt: skip
-def test_names_that_two_variables_share_are_refused(tmp_path: Path, text: str, variable: str, name: str) -> None:
-    path = write_fmu(tmp_path / "a.fmu", text.replace("</ModelVariables>", f"{variable}</ModelVariables>"))
-    with pytest.raises(
-        InputError, match=rf"a\.fmu: modelDescription.xml: variable '{re.escape(name)}' is declared twice"
-    ):
-        read_description(path)
