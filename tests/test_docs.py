@@ -117,7 +117,6 @@ NUMBER = r"1\.\d{1,2}(?!\d)"
 CITATION = re.compile(rf"\(({NUMBER}(?:(?:–|, ){NUMBER})*)\)")
 # What a number in parentheses after these words has to be, of the chapter's.
 NAMED = {
-    r"[Cc]ompound criterion(?: J_C)?": {"1.37", "1.38", "1.57", "1.68"},
     r"prior rows W\(θ₀ − θ\) of": {"1.37"},
     r"Marquardt's (?:search for the least sum of squares|steps)": {"1.16"},
     r"natural equations": {"1.58"},

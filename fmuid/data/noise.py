@@ -50,17 +50,17 @@ class Noise:
     """
 
     variance: Literal["estimate"] | Positive | Mapping[str, Positive] = "estimate"
-    """noise variance of the outputs: estimated, one number, or { output = number }"""
+    """noise variance of the outputs"""
     initial_variance: Positive | Mapping[str, Positive] | None = None
     """initial guess of an estimated variance, in [noise] only; default: from the residual"""
     std: Level | Mapping[str, Level] | None = None
-    """noise level: a number, a column with one per sample, or { output = either }"""
+    """noise level: a number, or a column with one per sample"""
     relative_std: Positive | Mapping[str, Positive] | None = None
     """noise level as a fraction of the standard deviation of the output"""
     weights: Level | Mapping[str, Level] | None = None
     """column of weights w: variance σ²/w, with one estimated σ² for all weighted outputs"""
     shared_variance: bool | Sequence[str] = False
-    """outputs with one common estimated variance, in [noise] only; true: all"""
+    """outputs with one common variance, in [noise] only"""
     excitation_period: Positive | None = None
     """period of the excitation, s, for periodic model errors; default: from the inputs"""
     experiments: Mapping[str, Noise] = field(default_factory=dict, metadata={"key": False})

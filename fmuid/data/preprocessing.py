@@ -67,9 +67,9 @@ class Preprocessing:
     """What is done with the data, in this order."""
 
     computed_columns: Mapping[str, str] = field(default_factory=dict)
-    """columns computed from others, { x = "pulses * 35.1 + vir" }; may replace columns"""
+    """computed columns, { x = "pulses * 35.1 + vir" }"""
     fill_missing: Mapping[str, Literal["linear", "zoh"]] = field(default_factory=dict)
-    """inputs with missing samples to fill, by "linear" or "zoh": { u = "zoh" }"""
+    """inputs with missing samples to fill, { u = "zoh" }"""
     max_gap: Annotated[float, Gt(0)] | None = None
     """longest gap to fill, s; default: 20 sampling intervals"""
     park: tuple[ParkTransform, ...] = ()
@@ -83,7 +83,7 @@ class Preprocessing:
     resample_interval: Annotated[float, Gt(0)] | None = None
     """step of time, s"""
     detrend: Literal["mean", "linear"] | Mapping[str, Literal["mean", "linear"]] | None = None
-    """trend removed from inputs and outputs, or { column = trend }"""
+    """trend removed from inputs and outputs"""
 
     def __post_init__(self) -> None:
         if self.start_time is not None and self.end_time is not None and self.end_time < self.start_time:

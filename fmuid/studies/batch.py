@@ -155,8 +155,8 @@ class MonteCarloSection(StudySection):
 class BatchSettings(StudySection):
     """Many identifications, called cases."""
 
-    data: Tables = entry([], "data files, one case each: files, patterns, or names and files")
-    starting_points: Starts | None = entry(None, "number of random starting points, or a list of them")
+    data: Tables = entry([], "data files, one case each")
+    starting_points: Starts | None = entry(None, "random starting points, or a list of them")
     free_parameters: Subsets = entry([], "sets of free parameters, one case each; default: all free")
     sweep: Annotated[dict[str, Axis], kinds.Entries("{ name = values }")] = entry(
         {}, "variables with their values, one case each"

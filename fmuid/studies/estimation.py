@@ -39,34 +39,34 @@ class EstimationSection(StudySection):
 
     method: Annotated[str, kinds.one_of(METHODS)] = entry(
         METHODS[0],
-        '"multi-start" and "differential-evolution" use the whole box; default with n_starts: "multi-start"',
+        'default with n_starts: "multi-start"',
         METHODS[0],
     )
     n_starts: kinds.Count | None = entry(None, "starting points of multi-start, or members of the evolution", 50)
     seed: kinds.Natural = entry(0, "seed of a global search")
     loss: Annotated[str, kinds.one_of(tuple(LOSSES))] = entry(
-        "linear", 'loss function; "soft_l1", "huber" and "cauchy" reduce the effect of outliers', "soft_l1"
+        "linear", 'all but "linear" reduce the effect of outliers', "soft_l1"
     )
     jacobian: Annotated[str, kinds.one_of(SENSITIVITIES)] = entry(
-        "finite-difference", '"forward": sensitivity equations; "fmu": derivatives by the FMU', "finite-difference"
+        "finite-difference", '"forward": sensitivity equations; "fmu": by the FMU', "finite-difference"
     )
     solver_check: Annotated[str, kinds.one_of(ACCURACIES)] = entry(
         "refine",
-        'for solver errors above 0.1 σ: "refine" the solver, or "report" them; "off": no check',
+        "for solver errors above 0.1 σ",
         "refine",
     )
     model_error: Annotated[str, kinds.one_of(MODEL_ERROR)] = entry(
         "refit",
-        'for model errors that directed tests name: "refit" with them as parameters, or "report" them; "off": no tests',
+        "for model errors that directed tests name",
         "refit",
     )
     restarts: bool = entry(
         True,
-        "try other starting points after a failure or a residual above 3 × noise level; not in batches",
+        "try other starting points after a failure or a large residual; not in batches",
     )
     observer_memory: kinds.Positive | None = entry(
         None,
-        "memory of a state observer, in samples: fits predictions of one integrating FMU (Model Exchange, one output)",
+        "memory of a state observer, in samples",
         3.0,
     )
     max_iterations: kinds.Count = entry(DEFAULTS.max_iterations, "trial steps, accepted or not")
@@ -137,7 +137,7 @@ class UncertaintySection(StudySection):
     profile_likelihood: Annotated[
         kinds.Flag | list[kinds.Text],
         kinds.ValueKind('true (all parameters), false or a list of parameters, ["Rs", "Rr"]'),
-    ] = entry(False, 'profile likelihood of all parameters or some, ["a", "b"]', True)
+    ] = entry(False, "profile likelihood of parameters", True)
     posterior: Annotated[SamplerSettings | None, Settings()] = entry(
         None, "posterior samples; true, or { max_steps = 20000, walkers = 32, seed = 0 }", True
     )
@@ -173,7 +173,7 @@ class MonitoringSection(StudySection):
     warmup: kinds.NotNegative | None = entry(None, "warm-up before each window, s; default: that of the study")
     false_alarm_rate: kinds.Share | None = entry(None, "per recording, or per horizon; default: that of [diagnosis]")
     false_alarm_horizon: kinds.Positive | None = entry(None, "time of false_alarm_rate, s; default: the recording")
-    alarm_command: Command = entry([], 'program for each alarm with --follow, ["python", "tell.py"]', [])
+    alarm_command: Command = entry([], "program for each alarm with --follow", [])
     size_limits: Limits = entry({}, 'fault sizes not to be reached, { "turns.dR" = 0.5 }')
 
     def rule(self, warmup: float, level: float) -> Rule:

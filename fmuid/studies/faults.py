@@ -103,11 +103,11 @@ class DiagnosisSection(StudySection):
 
     baseline: kinds.File | None = entry(
         None,
-        "result.json of the healthy machine; without it, identify stores a baseline of this study",
+        "result.json of the healthy machine; without it, identify stores one",
         "healthy/result.json",
     )
     std_factor: Annotated[Factor | Factors, kinds.BY_SHAPE] = entry(
-        1.0, "factor on the baseline's σ, for all parameters or each: allowed healthy changes"
+        1.0, "factor on the baseline's σ: allowed healthy changes"
     )
     false_alarm_rate: kinds.Share = entry(RULE.level, "probability of a false alarm", RULE.level)
     healthy_data: kinds.Files = entry([], "data files of the healthy machine, for sensor and supply errors")
@@ -116,7 +116,7 @@ class DiagnosisSection(StudySection):
     )
     causes: Annotated[Causes, Settings()] = entry(Causes(), "possible causes other than faults")
     fault_model_error: kinds.NotNegative = entry(
-        MODEL_ERROR, "fault-model error along other signatures, fraction of the effect; a quarter of it in size"
+        MODEL_ERROR, "fault-model error along other signatures, fraction of the effect"
     )
     faults: dict[str, FaultSection] = entry({}, "fault models by name")
 

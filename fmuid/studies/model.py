@@ -240,7 +240,7 @@ class ExperimentSettings(KindSection):
     inputs: kinds.Columns = entry({}, "measured inputs of the FMU")
     outputs: kinds.Columns = entry({}, "measured outputs of the FMU; those of an observation are its sensors")
     interpolation: Annotated[Interpolation | Interpolations, kinds.BY_SHAPE] = entry(
-        "linear", 'of inputs between samples; "zoh" for commands of a digital controller', "linear"
+        "linear", "of inputs between samples", "linear"
     )
     warmup: kinds.NotNegative = entry(0.0, "initial time that is simulated but not scored, s", 0.0)
     fixed: Annotated[

@@ -72,14 +72,12 @@ class ParameterSection(StudySection):
     )
     choices: Annotated[
         list[kinds.Scalar], BeforeValidator(kinds.as_list, json_schema_input_type=Literal["all"] | list[kinds.Scalar])
-    ] = entry(
-        [], 'values of a discrete parameter, instead of all other keys; "all": all that the FMU declares', [1, 2, 3]
-    )
+    ] = entry([], 'values of a discrete parameter; "all": all that the FMU declares', [1, 2, 3])
     min: kinds.Number = entry(-math.inf, "lower bound", json_schema_extra=OR_ARRAY)
     max: kinds.Number = entry(math.inf, "upper bound", json_schema_extra=OR_ARRAY)
     nominal: kinds.Positive | None = entry(None, "scale; required if start is 0", json_schema_extra=OR_ARRAY)
     per_experiment: Annotated[kinds.Flag | Groups, kinds.BY_SHAPE] = entry(
-        False, 'one value per experiment, or per group, { cold = ["run1", "run2"], warm = ["run3"] }'
+        False, "one value per experiment, or per group"
     )
     prior: PriorSection | None = entry(None, "prior of this parameter")
 
