@@ -131,6 +131,8 @@ class Alarm:
         Best first, with the sizes after the onset.
     trend : Trend or None
         Of the first size of the best explanation.
+    ended : RecordTime or None
+        Begin of the windows without the cause; None while it lasts.
     """
 
     fault: str
@@ -141,6 +143,7 @@ class Alarm:
     onset: Onset | None = None
     explanations: tuple[Explanation, ...] = ()
     trend: Trend | None = None
+    ended: RecordTime | None = None
 
 
 def label_of(explanations: tuple[Explanation, ...]) -> str:
@@ -169,6 +172,7 @@ class AlarmDecision:
 
     explanations: tuple[Explanation, ...]  # the best one first
     columns: tuple[int, ...]  # coordinates of the best one
+    sizes: Floats  # (k,) of them
     when: OnsetEstimate  # of its first cause
     since: float  # begin of the first whole window with it, s of all data; infinite without one
 
@@ -188,4 +192,4 @@ def decide_alarm(
         if when.cause in likely[0].causes:
             break
         when = next(each for each in dates if each.cause is likely[0].causes[0])
-    return AlarmDecision(explanations(likely, coordinates), tuple(likely[0].columns), when, since)
+    return AlarmDecision(explanations(likely, coordinates), tuple(likely[0].columns), likely[0].fit.sizes, when, since)

@@ -21,7 +21,7 @@ from fmuid.diagnosis.faults import common_mode
 from fmuid.diagnosis.information_matrix import InformationMatrix, Whitening
 from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUAL
 from fmuid.errors import InputError
-from fmuid.estimation import Autoregression, Result
+from fmuid.estimation import OutputNoise, Result
 from fmuid.identification import refinement_of
 from fmuid.models import System
 from fmuid.simulation import Refinement
@@ -43,6 +43,13 @@ class BaselineSource(Enum):
     DAMAGED = "damaged"
     RESULT = "result"
     """Its result alone: nothing is known of sensors and supply."""
+    WHITE_RESULT = "result without noise"
+    """A result from a file without noise model: noise counts as white."""
+
+    @property
+    def alone(self) -> bool:
+        """True if there are no healthy data."""
+        return self in (BaselineSource.RESULT, BaselineSource.WHITE_RESULT)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +144,7 @@ class _Description:
     """Text of a ``baseline.npz``."""
 
     of: MachineDigest
-    noise: Mapping[str, Autoregression]
+    noise: Mapping[str, OutputNoise]
 
 
 def _model(system: System) -> Any:
@@ -238,6 +245,13 @@ class Baseline:
     def freedom(self) -> float:
         """Degrees of freedom of the noise variances; infinite if given."""
         return float(self.result.fit.degrees_of_freedom) if self.noise_variance is None else math.inf
+
+    def noise(self, output: str, variance: float) -> OutputNoise:
+        """Return the noise of an output, white where the result has none."""
+        known = self.result.fit.output_noise.get(output)
+        if known is None:
+            return OutputNoise.white(variance)
+        return known if self.noise_variance is None else known.of_variance(variance)
 
     def variance(self, outputs: Sequence[str]) -> dict[str, float]:
         """Return the noise variance of each output; an `InputError` if one is not known."""

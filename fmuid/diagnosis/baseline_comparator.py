@@ -53,11 +53,14 @@ class BaselineComparator:
             except InputError as error:
                 raise InputError(f"fault {name!r}: {error}") from None
         variance = baseline.variance(first.output_names)
-        noise = {name: math.sqrt(value) for name, value in variance.items()}
+        scale = {name: math.sqrt(value) for name, value in variance.items()}
         alone = Causes(None, None, None, None, None)
-        coordinates = coordinates_of(system, baseline.common, faults, first, noise, causes or alone)
+        coordinates = coordinates_of(system, baseline.common, faults, first, scale, causes or alone)
         known, drift = _of_result(baseline, coordinates)
-        made = cls(system, baseline, coordinates, BaselineStatistics(known, Whitening.white(variance), drift))
+        noise = Whitening({name: baseline.noise(name, value) for name, value in variance.items()})
+        learned = all(name in baseline.result.fit.output_noise for name in variance)
+        basis = BaselineSource.RESULT if learned else BaselineSource.WHITE_RESULT
+        made = cls(system, baseline, coordinates, BaselineStatistics(known, noise, drift, basis=basis))
         if not baseline.beside:
             return made
         basis, shown = made._shown(variance, fewer=fewer)

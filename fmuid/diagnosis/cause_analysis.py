@@ -13,7 +13,6 @@ from fmuid.array_types import Floats
 from fmuid.diagnosis.baseline import BaselineSource, StoredBaseline
 from fmuid.diagnosis.cause_ranking import CauseRanking, name
 from fmuid.diagnosis.cause_results import ChangeEvidence, explanations, score
-from fmuid.diagnosis.causes import SETTINGS as CAUSES
 from fmuid.diagnosis.causes import Cause, ChangeParameterSet
 from fmuid.diagnosis.change_detection import MinPDistribution, fit
 from fmuid.diagnosis.information_matrix import ChangePrior, InformationMatrix, ScoreStatistics, Whitening, is_determined
@@ -28,6 +27,7 @@ from fmuid.diagnosis.unexplained_residual import (
     regression,
 )
 from fmuid.errors import SimulationError
+from fmuid.estimation import output_noise
 
 
 @dataclass(frozen=True)
@@ -162,9 +162,6 @@ class _CauseAnalyzer:
     def at(self, point: Floats) -> Linearization:
         """Return the statistics of the records, linearized at a point (N,)."""
         whitening, healthy = self.healthy.whitening, self.coordinates.healthy
-        if self.healthy.owed is None:
-            variances = {name: whitening.std(name) ** 2 for name in whitening.models}
-            whitening = whitening_of(self.machines, point, CAUSES.open * self.coordinates.normal, variances)
         first, *others = (_information(machine, whitening, point, healthy) for machine in self.machines)
         said = sum(others, start=first)
         news = ScoreStatistics.of(said, self.known)
@@ -230,8 +227,8 @@ class _CauseAnalyzer:
 
 def _information(machine: LinearizedMachine, whitening: Whitening, point: Floats, healthy: Floats) -> InformationMatrix:
     """Return a record's information at a point, relative to healthy coordinates."""
-    white = whitening(machine.experiment, residual_and_columns(machine, point, healthy))
-    return InformationMatrix.of(white[:, 1:], white[:, 0])
+    white = whitening(machine.experiment, residual_and_columns(machine, point))
+    return InformationMatrix.of(white[:, 1:], white[:, 0] + white[:, 1:] @ (point - healthy))
 
 
 def _owed(machines: Sequence[LinearizedMachine], whitening: Whitening, point: Floats) -> InformationMatrix:
@@ -269,4 +266,4 @@ def whitening_of(
         target = np.concatenate([rest[there] / scale, np.zeros(width.size)])
         taken = columns @ (np.linalg.lstsq(stacked, target, rcond=None)[0] * width)
         residuals.append((experiment, np.where(there, rest - taken, 0.0)))
-    return Whitening.of(residuals, variances)
+    return Whitening(output_noise(residuals, variances))

@@ -158,7 +158,7 @@ class ChangeEvidence:
         """Explained share of the change; 0 without an alarm."""
         if not self.alarm:
             return 0.0
-        if self.basis is BaselineSource.RESULT:
+        if self.basis.alone:
             return min(1.0, max(0.0, (self.without - self.ratio) / (self.without - 1.0))) if self.without > 1 else 0.0
         statistic = max(each.statistic for each in self.suspects) / self.temper
         rest = max(0.0, self.remainder.statistic - self.remainder.degrees)

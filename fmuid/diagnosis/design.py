@@ -110,7 +110,8 @@ class Design:
         causes = self.settings.causes if healthy is not None or self.baseline.beside else None
         made = BaselineComparator.of(self.system, self.baseline, self.faults, causes, [excitation], fewer=True)
         _, columns = made.machine(excitation).linearize(made.coordinates.healthy)
-        white = made.healthy.whitening(excitation, columns)
+        planned = np.concatenate([np.zeros((*columns.shape[:2], 1)), columns], axis=2)
+        white = made.healthy.whitening(excitation, planned)[:, 1:]
         said = InformationMatrix.of(white, np.zeros(len(white)))
         known, drift = made.healthy.known, made.healthy.drift
         if healthy is not None:

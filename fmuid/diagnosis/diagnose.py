@@ -15,7 +15,7 @@ from scipy import special
 
 from fmuid.blas import single_threaded
 from fmuid.data import Experiment, Noise
-from fmuid.diagnosis.baseline import Baseline, BaselineSource
+from fmuid.diagnosis.baseline import Baseline
 from fmuid.diagnosis.baseline_comparator import BaselineComparator
 from fmuid.diagnosis.cause_analysis import Examination, examine
 from fmuid.diagnosis.cause_ranking import SETTINGS as CAUSE_RANKING
@@ -124,7 +124,7 @@ def diagnose(
     machines = [made.machine(each) for each in listed]
     found = examine(machines, made.healthy, made.coordinates, how.level, kappa)
     evidence, fitted = found.evidence, None
-    if evidence.basis is BaselineSource.RESULT and evidence.explanations:
+    if evidence.basis.alone and evidence.explanations:
         best = evidence.explanations[0]
         if len(best.faults) == 1:
             tell(FaultStep(share=0.5, fault=best.faults[0]))
@@ -140,7 +140,7 @@ def diagnose(
         unexplained=_unexplained(evidence, found, known.freedom, how.level),
         nominal=dict(zip(known.common, zip(values, stds, strict=True), strict=False)),
         noise_variance=known.variance(listed[0].output_names),
-        deviation=_deviation(found) if evidence.basis is BaselineSource.RESULT else None,
+        deviation=_deviation(found) if evidence.basis.alone else None,
         version=__version__,
         accuracy=None if fitted is None else fitted.accuracy,
         fitted=() if fitted is None else fitted.names,
@@ -162,7 +162,7 @@ def _mismatched(machines: Sequence[LinearizedMachine], made: BaselineComparator)
 
 def _unexplained(evidence: ChangeEvidence, found: Examination, freedom: float, level: float) -> VarianceRatio:
     """Test the residual: its variance, or beside healthy data its regression on the inputs."""
-    if evidence.basis is BaselineSource.RESULT:
+    if evidence.basis.alone:
         noise = found.at.whitening
         share = sum(map(noise.independent_share, noise.models)) / len(noise.models)
         return VarianceRatio.of(evidence.ratio, share * evidence.samples, share * freedom, level)

@@ -7,6 +7,7 @@ and h = (I + G C)⁻¹ (g − G m) (docs/method/diagnosis.md).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -15,7 +16,7 @@ import scipy
 
 from fmuid.array_types import Floats, Indices
 from fmuid.data import Experiment
-from fmuid.estimation import Autoregression, NoiseModel, OutputSeries, common_process, output_series
+from fmuid.estimation import OutputNoise, output_series
 
 # Of what a coordinate shows by itself, this share is left where nothing tells it from the others: differences leave
 # about their own error squared.
@@ -26,44 +27,46 @@ LEAST = 1e-9
 class Whitening:
     """Whitening of records by the baseline's noise; a noise model of the new record would whiten the fault away."""
 
-    models: Mapping[str, Autoregression]  # by output
+    models: Mapping[str, OutputNoise]  # by output
 
     @classmethod
     def white(cls, variances: Mapping[str, float]) -> Whitening:
         """Return the whitening of white noise with known variances."""
-        return cls({name: Autoregression(np.zeros(0), variance, 0) for name, variance in variances.items()})
-
-    @classmethod
-    def of(
-        cls, records: Sequence[tuple[Experiment, Floats]], variances: Mapping[str, float] | None = None
-    ) -> Whitening:
-        """Return the noise of healthy residuals (K, n_outputs), pooled by output; given variances stay."""
-        parts: dict[str, list[tuple[OutputSeries, Floats]]] = {}
-        for experiment, residual in records:
-            for series in output_series([experiment], experiment.output_names):
-                j = experiment.output_names.index(series.output)
-                parts.setdefault(series.output, []).append((series, residual[experiment.counted[:, j], j]))
-        return cls({name: common_process(own, (variances or {}).get(name)) for name, own in parts.items()})
+        return cls({name: OutputNoise.white(variance) for name, variance in variances.items()})
 
     def std(self, output: str) -> float:
         """Return the standard deviation of an output's noise."""
-        return self.models[output].std
+        return self.models[output].process.std
+
+    @property
+    def limit(self) -> float:
+        """Smallest limit of innovations, in standard deviations."""
+        return min((each.limit for each in self.models.values()), default=math.inf)
+
+    @property
+    def share(self) -> float:
+        """Independent innovations per sample for a variance."""
+        return sum(each.share for each in self.models.values()) / len(self.models)
 
     def independent_share(self, output: str) -> float:
         """Return the independent samples per sample for an output's variance, 1/Σρ² (Bartlett)."""
-        power = np.abs(self.models[output].transfer(4096)) ** 2
-        return float(np.mean(power) ** 2 / np.mean(power**2))
+        power = np.abs(self.models[output].process.transfer(4096)) ** 2
+        return float(np.mean(power) ** 2 / np.mean(power**2)) * self.models[output].share
 
     def __call__(self, experiment: Experiment, columns: Floats) -> Floats:
-        """Return innovations (n, m) of columns (K, n_outputs, m), in σ."""
+        """Return innovations (n, 1 + m) of residual and columns, in σ."""
         return np.vstack([white for _, white in self.of_outputs(experiment, columns)])
 
-    def of_outputs(self, experiment: Experiment, columns: Floats) -> Iterator[tuple[Indices, Floats]]:
-        """Yield them by output, with the rows of the record."""
+    def of_outputs(
+        self, experiment: Experiment, columns: Floats, begins: Floats | None = None
+    ) -> Iterator[tuple[Indices, Floats]]:
+        """Yield them by output, with the rows of the record; lines are fitted anew from each of `begins`, s."""
         for series in output_series([experiment], experiment.output_names):
             j = experiment.output_names.index(series.output)
             rows = np.flatnonzero(experiment.counted[:, j])
-            yield rows, NoiseModel(series, self.models[series.output]).whiten(columns[rows, j])
+            own = [] if begins is None else np.searchsorted(experiment.times[rows], begins).tolist()
+            borders = sorted({0, *own, rows.size}) if own else []
+            yield rows, self.models[series.output].whiten(series, columns[rows, j], borders)
 
 
 @dataclass(frozen=True, eq=False)

@@ -189,12 +189,10 @@ def residual_of(experiment: Experiment, outputs: Floats) -> Floats:
     return np.where(experiment.counted, experiment.output_values - outputs, 0.0)
 
 
-def residual_and_columns(machine: LinearizedMachine, point: Floats, origin: Floats | None = None) -> Floats:
-    """Return residual, relative to an origin, and columns: (K, n_outputs, 1 + N)."""
+def residual_and_columns(machine: LinearizedMachine, point: Floats) -> Floats:
+    """Return residual and columns: (K, n_outputs, 1 + N)."""
     outputs, columns = machine.linearize(point)
     residual = residual_of(machine.experiment, outputs)
-    if origin is not None:
-        residual = residual + columns @ (point - origin)
     return np.concatenate([residual[:, :, None], columns], axis=2)
 
 

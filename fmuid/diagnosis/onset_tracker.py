@@ -165,6 +165,17 @@ class OnsetTracker:
         after = InformationMatrix(self._total - until.matrix, self._score - until.score)
         return ScoreStatistics.of(after, self.known.after_also(early_on).drifting(self._drift)), float(clock[first])
 
+    def restarted(self, low: float) -> OnsetTracker:
+        """Return a tracker for later windows, its prior from those before `low`."""
+        other, n = OnsetTracker(self.known, 0.0 * self._drift), self._score.size
+        early = np.flatnonzero(self._of["begins"] & (self._of["clock"] <= low))
+        if early.size:
+            before = self._of["before"][early[-1]]
+            record = InformationMatrix(before[: n * n].reshape(n, n), before[n * n :])
+            other.known = self.known.after_also(record).drifting(self._drift)
+        other._drift, other.build_up, other.slow, other.end = self._drift, self.build_up, self.slow, self.end
+        return other
+
     # --- files
 
     def state(self) -> dict[str, Any]:
@@ -178,6 +189,8 @@ class OnsetTracker:
             "lags": self.build_up.lags,
             "shown": self.build_up.shown,
             "slow": self.slow,
+            "mean": self.known.mean,
+            "covariance": self.known.covariance,
         }
 
     def restored(self, state: Mapping[str, Any]) -> OnsetTracker:
@@ -190,6 +203,7 @@ class OnsetTracker:
         other._of = {name: state[name] for name in _KEPT}
         other._total, other._score, other._least = state["total"], state["score"], state["least"]
         other.build_up, other.slow = ChangeTransient(state["lags"], state["shown"]), state["slow"]
+        other.known = ChangePrior(state["mean"], state["covariance"])
         windows, other.end, *pinned = state["seen"].tolist()
         other.windows, other.pinned = int(windows), (pinned[0], pinned[1])
         return other

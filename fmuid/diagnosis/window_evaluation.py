@@ -31,6 +31,7 @@ class EvaluationSettings:
 
     far: float = 0.3  # error of the linear model, in standard deviations, beyond which a window is linearized again
     grown: float = 0.2  # share by which D grows before an alarm is decided again
+    gone: float = 6.9  # log odds of no cause that end an alarm: 1000 : 1
     free: float = 1e3  # sizes of a named cause in its prior: free
 
 
@@ -49,6 +50,8 @@ class MonitorState:
     row: int = 0  # of the next window
     forgotten: int = 0  # rows before those of the tables
     judgement: AlarmDecision | None = None  # of the present alarm
+    gone: float = 0.0  # cumulated log-likelihood ratio of no cause against it, since `absent`
+    absent: float = 0.0  # s of all data
     statistic: float = 0.0  # D of that decision
 
     def beginning(self, record: Experiment, transient: float) -> MonitorState:
@@ -74,15 +77,12 @@ class MonitorState:
         """Return the state without old rows, alarms and records."""
         table = self.table().tail(rows)
         first = np.searchsorted(self.watch.clocks(), [each.clock for each in self.records])  # of the onsets
-        last = len(self.records) - 1
-        kept = tuple(each for k, each in enumerate(self.records) if k == last or first[k] < first[k + 1])
-        return replace(
-            self,
-            tables=(table,),
-            forgotten=self.row - len(table),
-            alarms=self.alarms[-alarms:],
-            records=kept,
+        said, last = self.alarms[-alarms:], len(self.records) - 1
+        dated = {each.onset.last.record for each in said if each.onset is not None}
+        kept = tuple(
+            each for k, each in enumerate(self.records) if k == last or first[k] < first[k + 1] or each.name in dated
         )
+        return replace(self, tables=(table,), forgotten=self.row - len(table), alarms=said, records=kept)
 
     def moment(self, clock: float) -> RecordTime:
         """Return the time of a record at s of all data."""
@@ -167,6 +167,10 @@ class WindowEvaluation:
         found = self.now.judgement
         begin = sums.window.begin + record.clock - record.begin
         settled = found is not None and found.since <= begin + sums.window.slack
+        if found is not None and settled:
+            self.now = self._ended(found, begin)
+        self.ended = found is not None and self.now.judgement is None
+        found = self.now.judgement
         self.free = found.columns if found is not None and settled else ()
         self.known = against.free(self.free) if self.free else against.known
         self.estimate = self.known.after_also(sums.whole)
@@ -178,6 +182,20 @@ class WindowEvaluation:
         found = decide_alarm(self.watch, self.against.coordinates, self.level, self.against.model_error)
         self.watch.pinned = found.when.between
         return replace(now, judgement=found, statistic=self.statistic)
+
+    def _ended(self, found: AlarmDecision, begin: float) -> MonitorState:
+        """Return the state, without the alarm if its causes are gone."""
+        now, columns = self.now, list(found.columns)
+        information, score = ScoreStatistics.of(self.sums.whole, self.against.known).part(columns)
+        gone = now.gone + float(0.5 * found.sizes @ information @ found.sizes - score @ found.sizes)
+        if gone <= 0.0:
+            return replace(now, gone=0.0)
+        absent = begin if now.gone == 0.0 else now.absent
+        if gone < SETTINGS.gone:
+            return replace(now, gone=gone, absent=absent)
+        self.watch = self.watch.restarted(found.when.between[0])
+        alarms = (*now.alarms[:-1], replace(now.alarms[-1], ended=now.moment(absent))) if now.alarms else ()
+        return replace(now, judgement=None, statistic=0.0, gone=0.0, alarms=alarms)
 
     @cached_property
     def target(self) -> Floats:
@@ -194,7 +212,10 @@ class WindowEvaluation:
         """True if the window was linearized too far from the target."""
         off = self.target - self.now.point
         distance = math.sqrt(max(0.0, float(off @ self.sums.whole.matrix @ off)))
-        return float(np.max(np.abs(off) / self.against.magnitude)) * distance > SETTINGS.far
+        curved = float(np.max(np.abs(off) / self.against.magnitude)) * distance > SETTINGS.far
+        # innovations are limited about the point
+        limited = math.isfinite(self.against.made.healthy.whitening.limit)
+        return curved or (limited and distance > SETTINGS.far * math.sqrt(self.sums.samples))
 
     def taken(self) -> MonitorState:
         """Return the state with this window."""
@@ -211,17 +232,20 @@ class WindowEvaluation:
     @cached_property
     def unexplained(self) -> bool:
         """True if the residual is larger than the noise in any case."""
-        freedom = self.against.made.baseline.freedom
-        return VarianceRatio.of(self._ratios[1], self.sums.samples, freedom, self.level).larger
+        share, freedom = self.against.made.healthy.whitening.share, self.against.made.baseline.freedom
+        return VarianceRatio.of(self._ratios[1], share * self.sums.samples, share * freedom, self.level).larger
 
     @property
     def label(self) -> str:
         """Name of the alarm, "" without."""
         found = self.now.judgement
+        if self.ended:  # a part of the window may still have the cause
+            return ""
         if found is None:
             return SOMETHING_ELSE if self.unexplained else ""
         without, with_ = self._ratios
-        if self.free and self.unexplained and without - with_ < EXPLAINED_SHARE * (without - 1.0):
+        ending = self.now.gone > 0.0  # a part of the window has the cause
+        if self.free and self.unexplained and not ending and without - with_ < EXPLAINED_SHARE * (without - 1.0):
             return SOMETHING_ELSE
         return label_of(found.explanations)
 

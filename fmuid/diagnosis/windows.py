@@ -151,8 +151,11 @@ def summed(
     machine: LinearizedMachine, windows: Sequence[Window], point: Floats, healthy: Floats, whitening: Whitening
 ) -> Iterator[WindowSums]:
     """Yield the sums of windows, linearized at a point (N,)."""
-    part, whole = machine.experiment, residual_and_columns(machine, point, healthy)
-    white = [(part.times[rows], values) for rows, values in whitening.of_outputs(part, whole)]
+    part, whole = machine.experiment, residual_and_columns(machine, point)
+    begins, white = np.array([each.begin - each.slack for each in windows]), list[tuple[Floats, Floats]]()
+    for kept, values in whitening.of_outputs(part, whole, begins):
+        values[:, 0] += values[:, 1:] @ (point - healthy)
+        white.append((part.times[kept], values))
     for window in windows:
         span = np.array([window.begin, window.end]) - window.slack
         inside = [np.searchsorted(times, span) for times, _ in white]

@@ -31,6 +31,8 @@ from .local_search import Method as Method
 from .noise.autoregression import Autoregression as Autoregression
 from .noise.model import NoiseModel as NoiseModel
 from .noise.model import common_process as common_process
+from .noise.output_noise import OutputNoise as OutputNoise
+from .noise.output_noise import output_noise as output_noise
 from .noise.output_series import OutputSeries as OutputSeries
 from .noise.output_series import output_series as output_series
 from .noise.sample_grid import Rows as Rows

@@ -19,6 +19,7 @@ from fmuid.estimation.covariance import ActiveBound, LocalCovariance, WhitenedJa
 from fmuid.estimation.estimates import Estimates
 from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.linearized_problem import LinearizedProblem
+from fmuid.estimation.noise.output_noise import output_noise
 from fmuid.estimation.noise.sandwich import ResidualNoise, sandwich_of
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
@@ -330,14 +331,20 @@ class _Identification:
         # who interrupts a slow search waits for no simulation
         ended = self._outcome is not TerminationReason.INTERRUPTED
         given = ~np.isnan(problem.variance)
+        simulated = self.evaluator.outputs(state.theta, problem.measured - residual, simulate=ended)
+        variance = np.where(given, problem.variance, self.estimated)
         return Fit(
             cost=float(state.residual @ state.residual),
             log_likelihood=log_likelihood(problem, residual, self.criterion.least_variance),
             degrees_of_freedom=math.inf if given.all() else float(problem.counts.sum() - self.shares.sum()),
             noise_variance=dict(zip(problem.output_names, self.estimated.tolist(), strict=True)),
             given_variance=_given_variance(problem),
+            output_noise=output_noise(
+                [(each, each.output_values - own) for each, own in zip(problem.experiments, simulated, strict=True)],
+                dict(zip(problem.output_names, variance.tolist(), strict=True)),
+            ),
             linearization=model,
             noise=noise,
             experiments=problem.experiments,
-            simulated=tuple(self.evaluator.outputs(state.theta, problem.measured - residual, simulate=ended)),
+            simulated=tuple(simulated),
         )

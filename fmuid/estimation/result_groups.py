@@ -17,6 +17,7 @@ from fmuid.data import Experiment, MeasuredSeries
 from fmuid.estimation.covariance import WeakDirection
 from fmuid.estimation.finite_differences import SensitivityMethod
 from fmuid.estimation.linearized_problem import LinearizedProblem
+from fmuid.estimation.noise.output_noise import OutputNoise
 from fmuid.estimation.noise.sandwich import ResidualNoise
 from fmuid.estimation.search.state import Iteration, TerminationReason
 from fmuid.estimation.solver_check import UsedModel
@@ -133,6 +134,8 @@ class Fit:
         Estimated residual variance of each output, J_j/(K_j − share of N) (1.12).
     given_variance : mapping of str to float
         Given variances (docs/method/noise-variances.md).
+    output_noise : mapping of str to OutputNoise
+        Lines, color and tails of each output's residual.
     linearization : LinearizedProblem or None
         Problem linearized at the estimates; None if read from a file.
     noise : ResidualNoise or None
@@ -148,6 +151,7 @@ class Fit:
     degrees_of_freedom: float
     noise_variance: Mapping[str, float]
     given_variance: Mapping[str, float]
+    output_noise: Mapping[str, OutputNoise] = field(default_factory=dict)
     linearization: LinearizedProblem | None = None
     noise: ResidualNoise | None = None
     experiments: tuple[Experiment, ...] = ()

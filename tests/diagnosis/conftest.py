@@ -12,17 +12,19 @@ from experiments.coil import study as coil
 from tests.support.plate import Faults, Look, identified, record
 from tests.support.plate import faults as faults
 from tests.support.plate import plate as plate
+from tests.support.results import changed
 
 
 @pytest.fixture(scope="session")
 def sound(plate: fmuid.System) -> fmuid.Result:
-    """Return the healthy plate."""
-    return identified(plate, record(np.random.default_rng(0)))
+    """Return the healthy plate, its noise white as in a file without noise model."""
+    return changed(identified(plate, record(np.random.default_rng(0))), output_noise={})
 
 
 @pytest.fixture(scope="session")
 def healthy_coil() -> fmuid.Result:
-    return fmuid.Result.from_json(coil.HERE / "healthy" / "result.json")
+    """Return the healthy coil, its noise white as in a file without noise model."""
+    return changed(fmuid.Result.from_json(coil.HERE / "healthy" / "result.json"), output_noise={})
 
 
 @pytest.fixture(scope="session")

@@ -169,16 +169,19 @@ def test_a_fault_model_that_differs_at_zero_is_noted(look: Look, plate: fmuid.Sy
 
 
 def test_colored_residual_is_no_fault(look: Look, plate: fmuid.System) -> None:
-    """A slow disturbance and slow inputs: to white noise the one would look like a fault."""
-    rng = np.random.default_rng(14)
-    experiment = record(None)
-    slow = np.convolve(rng.standard_normal(SAMPLES + 24), np.ones(25) / 5, mode="valid") * STD
-    frame = experiment.frame.copy()
-    frame[["ux", "uy", "vx", "vy"]] = 1.0 + 0.1 * INPUTS
-    for output, u, v, noise in (("x", "ux", "vx", slow), ("y", "uy", "vy", STD * rng.standard_normal(SAMPLES))):
-        frame[output] = TRUTH["g"] * frame[u] + TRUTH["h"] * frame[v] + noise
+    """A slow disturbance, known from the healthy record: to white noise it would look like a fault."""
+
+    def disturbed(seed: int) -> fmuid.Experiment:
+        rng, experiment = np.random.default_rng(seed), record(None)
+        slow = np.convolve(rng.standard_normal(SAMPLES + 24), np.ones(25) / 5, mode="valid") * STD
+        frame = experiment.frame.copy()
+        frame[["ux", "uy", "vx", "vy"]] = 1.0 + 0.1 * INPUTS
+        for output, u, v, noise in (("x", "ux", "vx", slow), ("y", "uy", "vy", STD * rng.standard_normal(SAMPLES))):
+            frame[output] = TRUTH["g"] * frame[u] + TRUTH["h"] * frame[v] + noise
+        return fmuid.Experiment(frame, experiment.inputs, experiment.outputs)
+
     fault = {"one": fmuid.Fault(plate, {"ea": FREE})}
-    found = look(fmuid.Experiment(frame, experiment.inputs, experiment.outputs), faults=fault)
+    found = look(disturbed(14), faults=fault, result=identified(plate, disturbed(15)))
     assert found.kind == "healthy"
     white = 2.0 * STD / math.sqrt(np.sum((0.1 * INPUTS[:, 0] + 1.0) ** 2))
     assert found["one.ea"].std > white  # a mean over 25 samples; 5 for the sum of the residual, less for what wiggles

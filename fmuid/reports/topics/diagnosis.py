@@ -143,7 +143,7 @@ def verdict(found: Diagnosis) -> Remark:
     if found.kind == "unexplained":
         given["p"] = chance(found.unexplained.probability)
         given |= {"ratio": found.unexplained.ratio, "even": f" even with {said[0]}" if said else ""}
-        from_result = evidence.basis is BaselineSource.RESULT
+        from_result = evidence.basis.alone
         how = DiagnosisMessage.UNEXPLAINED if from_result else DiagnosisMessage.UNEXPLAINED_INPUTS
     elif found.kind == "ambiguous":
         given["causes"] = " or ".join(said)
@@ -171,7 +171,7 @@ def diagnosis_notes(found: Diagnosis) -> list[Remark]:
     notes += [DiagnosisMessage.MISMATCHED.said("changes", name=name) for name in found.mismatched]
     if evidence.alarm and found.unexplained.larger and found.kind != "unexplained":
         notes.append(DiagnosisMessage.PARTLY.said("explained", share=evidence.explained))
-    if evidence.basis is BaselineSource.RESULT:
+    if evidence.basis.alone:
         notes.append(DiagnosisMessage.NOT_TESTED.said())
     notes += basis_notes(evidence.basis)
     if evidence.alarm and not evidence.steady:

@@ -48,8 +48,10 @@ class MonitoringMessage(Message, section="timeline"):
         "no cause explains the residual: a fault without a model",
         "Add a fault model, or check sensors and inputs.",
     )
+    ENDED = plain("Ended at {time:.6g} s{record}.", "begin of the windows without the cause")
     SIZE_AT_ALARM = plain("Size at the alarm: {sizes}.")
     SIZE_NOW = plain("Current size: {sizes}.")
+    SIZE_SINCE = plain("Size until the end: {sizes}.")
     RATE = plain("{column} changes by {rate}.")
     LIMIT_REACHED = plain("{column} has reached its limit {limit}.", "limit: `monitoring.size_limits`")
     LIMIT_SAFE = plain("{column} stays below its limit {limit}.")
@@ -93,8 +95,13 @@ def alarm_remarks(alarm: Alarm, units: Mapping[str, str]) -> list[Remark]:
         record = "" if likely.record == alarm.record else record
     given = {"cause": alarm.fault, "onset": onset, "time": alarm.time, "record": record}
     said = [MonitoringMessage.ALARM.said(**given)]
+    ended = alarm.ended
+    if ended is not None:
+        where = "" if ended.record == alarm.record else f" of {ended.record}"
+        said.append(MonitoringMessage.ENDED.said("", time=ended.time, record=where))
     if alarm.explanations:
-        said.append(MonitoringMessage.SIZE_NOW.said("", sizes=" or ".join(map(explanation_words, alarm.explanations))))
+        size = MonitoringMessage.SIZE_NOW if ended is None else MonitoringMessage.SIZE_SINCE
+        said.append(size.said("", sizes=" or ".join(map(explanation_words, alarm.explanations))))
     return said + ([] if alarm.trend is None else trend_remarks(alarm.trend, units.get(alarm.trend.column, "")))
 
 
@@ -174,7 +181,7 @@ TIMELINE = (
 def monitoring_document(found: MonitoringRun) -> Document:
     """Return the document of a monitoring."""
     said = [*monitoring_remarks(found), *basis_notes(found.basis), *gap_remarks(found.gaps)]
-    said += [MonitoringMessage.WHITE_NOISE.said("")] if found.basis is BaselineSource.RESULT else []
+    said += [MonitoringMessage.WHITE_NOISE.said("")] if found.basis is BaselineSource.WHITE_RESULT else []
     sections = [_alarms_section(found)] if found.alarms else []
     if len(found.table):
         sections.append(_windows_section(found))
@@ -191,7 +198,8 @@ def _alarms_section(found: MonitoringRun) -> Section:
     windows, rows = found.table, []
     for alarm in found.alarms:
         last = windows.loc[alarm.last]
-        until = f"{last['end']:g}" + ("" if last["record"] == alarm.record else f" of {last['record']}")
+        end, where = (last["end"], last["record"]) if alarm.ended is None else (alarm.ended.time, alarm.ended.record)
+        until = f"{end:g}" + ("" if where == alarm.record else f" of {where}")
         onset, size = alarm_words(alarm)
         row = (alarm.fault, onset, size_at_alarm(alarm, found), size, alarm.record, f"{alarm.time:g}", until)
         rows.append((*row, f"{alarm.last - alarm.first + 1}"))
