@@ -52,7 +52,9 @@ class Case:
 
     def problem(self, seed: int) -> fmuid.estimation.LeastSquares:
         """Return the problem of one draw."""
-        return fmuid.Problem(self.model, self.draw(np.random.default_rng(seed)), self.parameters)
+        return fmuid.Problem(
+            self.model, self.draw(np.random.default_rng(seed)), self.parameters, noise=fmuid.Noise(delay_std=0.0)
+        )
 
 
 @cache

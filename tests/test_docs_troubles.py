@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 import fmuid
 from fmuid import Document, Experiment, Normal, Parameter, Problem, Simulator, identify
 from fmuid.array_types import Floats
-from fmuid.data import Preprocessing
+from fmuid.data import Noise, Preprocessing
 from fmuid.errors import InputError
 from fmuid.estimation import LeastSquares
 from fmuid.simulation.instance import _missing_library
@@ -55,7 +55,9 @@ def experiment(table: pd.DataFrame, interpolation: str = "zoh", warmup: float = 
 
 def residual(given: Experiment, free: Mapping[str, Parameter] = FREE, **held: float) -> Floats:
     """Return the residual of the best fit at the scored samples."""
-    result = identify(Problem(COIL, given, free, values=held), solver_check="off", restart=False)
+    result = identify(
+        Problem(COIL, given, free, values=held, noise=Noise(delay_std=0.0)), solver_check="off", restart=False
+    )
     left = given.output_values[:, 0] - Simulator(COIL, given, list(free), values=held)(result.values)[:, 0]
     return np.asarray(left[given.counted[:, 0]])
 

@@ -120,7 +120,7 @@ def estimate(record: pd.DataFrame, whole: bool) -> fmuid.Result:
     names = [f"coil.{name}" if whole else name for name in NAMES]
     parameters = {name: fmuid.Parameter(value) for name, value in zip(names, TRUTH.tolist(), strict=True)}
     model, values = (loop(), CONTROL) if whole else (coil(), None)
-    problem = fmuid.Problem(model, experiment, parameters, values=values)
+    problem = fmuid.Problem(model, experiment, parameters, values=values, noise=fmuid.Noise(delay_std=0.0))
     result = fmuid.identify(problem)
     if not result.converged:
         raise RuntimeError(f"the search did not converge: {fmuid.Document.of(result)}")

@@ -90,7 +90,9 @@ def parameters() -> tuple[fmuid.Result, fmuid.System, fmuid.System]:
     """Return an identification of a healthy record, and the models."""
     searched = {"R": fmuid.Parameter(3.0, min=0.0), "L": fmuid.Parameter(0.2, min=1e-4)}
     healthy = record(Case(0.0), math.inf, np.random.default_rng(SEED), "healthy")
-    return fmuid.identify(fmuid.Problem(study.models()[0], healthy, searched)), *study.models()
+    return fmuid.identify(
+        fmuid.Problem(study.models()[0], healthy, searched, noise=fmuid.Noise(delay_std=0.0))
+    ), *study.models()
 
 
 def drawn(name: str, draw: int) -> dict[str, float | str]:

@@ -116,7 +116,7 @@ def experiment(table: pd.DataFrame) -> fmuid.Experiment:
 def identify(table: pd.DataFrame) -> fmuid.Result:
     """Identify R and L of a healthy coil."""
     parameters = {"R": fmuid.Parameter(3.0, min=0.0), "L": fmuid.Parameter(0.2, min=1e-4)}
-    result = fmuid.identify(fmuid.Problem(models()[0], experiment(table), parameters))
+    result = fmuid.identify(fmuid.Problem(models()[0], experiment(table), parameters, noise=fmuid.Noise(delay_std=0.0)))
     if not result.converged:
         raise RuntimeError(f"the search did not converge: {fmuid.Document.of(result)}")
     return result

@@ -70,7 +70,7 @@ def output_error(i: Floats) -> Floats:
     start = fmuid.estimation.equation_error(TIMES, VOLTAGE, terms(i), cutoff=NEAR)
     parameters = {name: fmuid.Parameter(start[name], min=1e-4) for name in start.names}
     record = experiment(pd.DataFrame({"time": TIMES, "u": voltage(), "i": i}))
-    result = fmuid.identify(fmuid.Problem(models()[0], record, parameters))
+    result = fmuid.identify(fmuid.Problem(models()[0], record, parameters, noise=fmuid.Noise(delay_std=0.0)))
     if not result.converged:
         raise RuntimeError(f"the search did not converge: {fmuid.Document.of(result)}")
     return result.values

@@ -83,7 +83,9 @@ def estimate(
         name: fmuid.Parameter(value, min=0.0, prior=None if mean is None else fmuid.Normal(mean, std))
         for name, value, mean, std in zip(NAMES, start.tolist(), means, PRIOR_STD.tolist(), strict=True)
     }
-    problem = fmuid.Problem(system(), data, parameters, noise=noise or fmuid.Noise(initial_variance=NOISE_VARIANCE))
+    problem = fmuid.Problem(
+        system(), data, parameters, noise=noise or fmuid.Noise(initial_variance=NOISE_VARIANCE, delay_std=0.0)
+    )
     result = fmuid.identify(problem, restart=False)  # the search itself is looked at
     if not result.converged:
         raise RuntimeError(f"from {start}: {fmuid.Document.of(result)}")
@@ -128,7 +130,7 @@ def repetition(data: fmuid.Experiment) -> pd.DataFrame:
     for (prior, mean), first in product(
         {"the chapter's": PRIOR_MEAN, "wrong by 10 std": WRONG_MEAN}.items(), FIRST_VARIANCES
     ):
-        result = estimate(data, prior_mean=mean, noise=fmuid.Noise(initial_variance=first))
+        result = estimate(data, prior_mean=mean, noise=fmuid.Noise(initial_variance=first, delay_std=0.0))
         found = pd.DataFrame(result.history.rounds)[[f"estimated.{name}" for name in OUTPUTS]].to_numpy()
         for searches, values in enumerate(np.vstack([np.full(len(OUTPUTS), first), found])):
             outputs = dict(zip(OUTPUTS, values.tolist(), strict=True))
@@ -314,7 +316,7 @@ def main() -> None:
     began = time.perf_counter()
     errors = draws(clean, DRAWS, SEED)
     print(f"{2 * DRAWS} identifications in {time.perf_counter() - began:.1f} s")
-    common = estimate(data, prior_mean=PRIOR_MEAN, noise=fmuid.Noise(NOISE_VARIANCE))
+    common = estimate(data, prior_mean=PRIOR_MEAN, noise=fmuid.Noise(NOISE_VARIANCE, delay_std=0.0))
     moved = np.abs(common.values - found["with prior"].values) / found["with prior"].std
     print(f"one common variance, {NOISE_VARIANCE} A², moves the estimates by {moved.max():.3f} std at most")
 

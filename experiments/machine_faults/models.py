@@ -62,7 +62,10 @@ def healthy(record: pd.DataFrame) -> fmuid.Baseline:
     """Identify a healthy machine from the data alone; return what it says, with room for other temperatures."""
     parameters = {name: fmuid.Parameter(value) for name, value in NOMINAL.items()}
     experiment = fmuid.Experiment(record, INPUTS, OUTPUTS)
-    return fmuid.Baseline(fmuid.identify(fmuid.Problem(healthy_machine(), experiment, parameters)), INFLATION)
+    return fmuid.Baseline(
+        fmuid.identify(fmuid.Problem(healthy_machine(), experiment, parameters, noise=fmuid.Noise(delay_std=0.0))),
+        INFLATION,
+    )
 
 
 def diagnose(record: pd.DataFrame, known: fmuid.Baseline) -> fmuid.Diagnosis:

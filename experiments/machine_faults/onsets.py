@@ -48,7 +48,7 @@ def healthy() -> fmuid.Result:
     """Return an identification of a healthy record."""
     searched = {name: fmuid.Parameter(value) for name, value in models.NOMINAL.items()}
     sound = record(0, 0, 0, np.random.default_rng(SEED))
-    return fmuid.identify(fmuid.Problem(models.healthy_machine(), sound, searched))
+    return fmuid.identify(fmuid.Problem(models.healthy_machine(), sound, searched, noise=fmuid.Noise(delay_std=0.0)))
 
 
 def watched(new: fmuid.Experiment, rng: np.random.Generator) -> fmuid.Monitor:

@@ -80,7 +80,12 @@ def lags(folder: Path) -> Iterator[Case]:
             table = fmuid.Experiment(frame, ["u"], ["x"], interpolation="zoh")
             for method in METHODS.values():
                 start = {"k": fmuid.Parameter(float(rng.uniform(0.3, 6.0)), min=0.01, max=15.0)}
-                yield Case(name, fmuid.Problem(fmu, table, start), method, np.array([LAG_TRUTH]))
+                yield Case(
+                    name,
+                    fmuid.Problem(fmu, table, start, noise=fmuid.Noise(delay_std=0.0)),
+                    method,
+                    np.array([LAG_TRUTH]),
+                )
 
 
 def motors(folder: Path) -> Iterator[Case]:
@@ -102,7 +107,7 @@ def motors(folder: Path) -> Iterator[Case]:
                     name: fmuid.Parameter(value * float(np.exp(rng.uniform(-0.7, 0.7))), min=1e-7)
                     for name, value in MOTOR_TRUTH.items()
                 }
-                problem = fmuid.Problem(fmu, table, start, values={"F": FRICTION})
+                problem = fmuid.Problem(fmu, table, start, values={"F": FRICTION}, noise=fmuid.Noise(delay_std=0.0))
                 yield Case(name, problem, METHODS["one start"], np.array(list(MOTOR_TRUTH.values())))
 
 

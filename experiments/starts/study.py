@@ -66,7 +66,7 @@ def problem(kind: str, record: Record) -> fmuid.Problem:
     parameters |= {
         name: fmuid.Parameter(0.0, nominal=size) for name, size in zip(machine.states, machine.nominal, strict=True)
     }
-    return fmuid.Problem(fmu(kind), experiment, parameters)
+    return fmuid.Problem(fmu(kind), experiment, parameters, noise=fmuid.Noise(delay_std=0.0))
 
 
 def searched(kind: str, seed: int, least: float, most: float, *, remedies: bool) -> dict[str, object]:

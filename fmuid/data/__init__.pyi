@@ -13,6 +13,7 @@ from .filters import dropouts as dropouts
 from .filters import evenly as evenly
 from .filters import extremes as extremes
 from .filters import missing_rows as missing_rows
+from .filters import usual_step as usual_step
 from .interpolation import INTERPOLATIONS as INTERPOLATIONS
 from .losses import LOSSES as LOSSES
 from .losses import Loss as Loss

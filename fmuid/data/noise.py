@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from annotated_types import Gt
+from annotated_types import Ge, Gt
 
 from fmuid.array_types import Floats, Indices
 from fmuid.data.clock import column_of, missing_column
@@ -23,6 +23,15 @@ LARGEST_VARIANCE = 1e100
 # Words of which an output has one at most, and those that may name a column or give all samples.
 FORMS, BY_SAMPLE = ("variance", "std", "relative_std", "weights"), ("std", "weights")
 
+
+@dataclass(frozen=True)
+class UsualNoise:
+    """What is assumed where nothing is given."""
+
+    delay_std: float = 0.29  # samples: a delay that is uniform within ±½ sample
+
+
+USUAL = UsualNoise()
 Positive = Annotated[float, Gt(0)]
 Level = Positive | str | Sequence[float]
 """A number, the column of the experiment's table that has one for each row, or all of them, (K,)."""
@@ -63,6 +72,8 @@ class Noise:
     """outputs with one common variance, in [noise] only"""
     excitation_period: Positive | None = None
     """period of the excitation, s, for periodic model errors; default: from the inputs"""
+    delay_std: Annotated[float, Ge(0)] | None = None
+    """σ of an unknown delay of outputs behind inputs, samples; 0: synchronous; default: ±½ sample, uniform"""
     experiments: Mapping[str, Noise] = field(default_factory=dict, metadata={"key": False})
     """noise of single experiments by name; without initial and shared variance"""
 
@@ -74,9 +85,11 @@ class Noise:
             elif given is not None and not (word == "variance" and isinstance(given, str) and given == "estimate"):
                 given = _checked(word, "", given)
             object.__setattr__(self, word, given)
+        if self.delay_std is not None and not 0 <= self.delay_std < math.inf:
+            raise InputError(f"noise.delay_std must be zero or positive, not {self.delay_std!r}.")
         for name, own in self.experiments.items():
             if own.initial_variance is not None or own.shared_variance or own.experiments:
-                words = ", ".join((*FORMS, "excitation_period"))
+                words = ", ".join((*FORMS, "excitation_period", "delay_std"))
                 raise InputError(f"noise of experiment {name!r}: only {words} are allowed. Set other keys in [noise].")
 
     def form(self, output: str) -> tuple[str, Any]:
@@ -90,6 +103,12 @@ class Noise:
         """Return the given excitation period of an experiment, s."""
         own = self.experiments.get(experiment)
         return self.excitation_period if own is None or own.excitation_period is None else own.excitation_period
+
+    def delay_in(self, experiment: str) -> float:
+        """Return σ of the unknown delay in an experiment, samples."""
+        own = self.experiments.get(experiment)
+        found = self.delay_std if own is None or own.delay_std is None else own.delay_std
+        return USUAL.delay_std if found is None else found
 
     def among(self, experiments: Sequence[str]) -> Noise:
         """Return the noise of some experiments, by name."""

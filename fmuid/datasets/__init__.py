@@ -106,7 +106,7 @@ def coil() -> ExampleRecord:
     >>> coil = fmuid.datasets.coil()
     >>> result = fmuid.identify(coil.problem())
     >>> result["R"], coil.truth["R"]
-    (R = 3.9989 ± 0.0015 Ohm, 4.0)
+    (R = 3.9985 ± 0.0016 Ohm, 4.0)
     """
     parameters = {"R": Parameter(3.0, min=0.0), "L": Parameter(0.2, min=1e-3)}
     return _record("coil", "Coil", "u", "i", parameters, {"R": 4.0, "L": 0.1})

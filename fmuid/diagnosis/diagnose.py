@@ -216,7 +216,7 @@ def _fitted(
         System.of(fault.model),
         [fault.renamed(each) for each in experiments],
         searched,
-        noise=Noise(fault.own_names(variance)),
+        noise=Noise(fault.own_names(variance), delay_std=0.0),  # the delay of both records is the same
         values={**fault.values, **{name: value for name, value in fault.zero.items() if name not in named}},
         sensitivity=how.sensitivity,
     )

@@ -1,3 +1,5 @@
+from .augmented_problem import AugmentedProblem as AugmentedProblem
+from .augmented_problem import augmented as augmented
 from .cost_components import misfits as misfits
 from .cost_components import refuse_loss as refuse_loss
 from .cost_components import variances as variances
@@ -37,6 +39,7 @@ from .noise.output_series import OutputSeries as OutputSeries
 from .noise.output_series import output_series as output_series
 from .noise.sample_grid import Rows as Rows
 from .noise.sandwich import ResidualNoise as ResidualNoise
+from .noise.sandwich import SandwichCovariance as SandwichCovariance
 from .noise.sandwich import sandwich as sandwich
 from .noise.sandwich import sandwich_of as sandwich_of
 from .noise.whiteness_tests import CrossCorrelation as CrossCorrelation
@@ -47,9 +50,11 @@ from .noise.whiteness_tests import WhitenessTest as WhitenessTest
 from .noise.whiteness_tests import normality as normality
 from .noise.whiteness_tests import whiteness as whiteness
 from .predictors import FunctionPredictions as FunctionPredictions
+from .predictors import Predictor as Predictor
 from .problem import LeastSquares as LeastSquares
 from .result import RESULT_SCHEMA as RESULT_SCHEMA
 from .result import Result as Result
+from .result_groups import AcquisitionDelay as AcquisitionDelay
 from .result_groups import CombinationFit as CombinationFit
 from .result_groups import Fit as Fit
 from .result_groups import History as History

@@ -28,6 +28,7 @@ class IdentifiabilitySettings:
     astray_std: float = 100.0  # the same against the initial scale, if σ exceeds the estimate too: wandering hides σ
     jacobian_errors: float = 2.0  # times the foreseen error: singular values below are zero; usual are 0.1 to 1
     named_share: float = 0.05  # minimum component of a named parameter, of the largest
+    rounding_share: float = 1e-6  # of the measured values: smaller residuals are no noise
     involved_share: float = 1e-3  # minimum component of a parameter with infinite variance
 
 

@@ -51,7 +51,7 @@ class Result(PlotMixin):
     --------
     >>> result = fmuid.identify(fmuid.datasets.coil().problem())
     >>> result["R"], result["R"].start
-    (R = 3.9989 ± 0.0015 Ohm, 3.0)
+    (R = 3.9985 ± 0.0016 Ohm, 3.0)
     """
 
     outcome: TerminationReason

@@ -9,12 +9,13 @@ from enum import Enum
 from functools import cached_property
 from typing import Any, ClassVar
 
+import numpy as np
 import pandas as pd
 
 from fmuid import codec
 from fmuid.array_types import Floats
 from fmuid.data import Experiment, MeasuredSeries
-from fmuid.estimation.covariance import WeakDirection
+from fmuid.estimation.covariance import LIMITS, WeakDirection
 from fmuid.estimation.finite_differences import SensitivityMethod
 from fmuid.estimation.linearized_problem import LinearizedProblem
 from fmuid.estimation.noise.output_noise import OutputNoise
@@ -119,6 +120,23 @@ class CombinationFit:
 
 
 @dataclass(frozen=True, eq=False)
+class AcquisitionDelay:
+    """Delay of the outputs behind the inputs, estimated beside the parameters (`Noise.delay_std`).
+
+    Attributes
+    ----------
+    samples, std : float
+        Estimate and σ.
+    widening : (N,) array
+        Factor of each parameter's σ by this unknown delay.
+    """
+
+    samples: float
+    std: float
+    widening: Floats
+
+
+@dataclass(frozen=True, eq=False)
 class Fit:
     """Agreement of model and data at the estimates.
 
@@ -144,6 +162,8 @@ class Fit:
         Empty if read from a file.
     simulated : tuple of (K, n_outputs) arrays
         Simulated outputs of each experiment.
+    delay : AcquisitionDelay or None
+        None without inputs, or where the noise has no `delay_std`.
     """
 
     cost: float
@@ -156,8 +176,18 @@ class Fit:
     noise: ResidualNoise | None = None
     experiments: tuple[Experiment, ...] = ()
     simulated: tuple[Floats, ...] = ()
+    delay: AcquisitionDelay | None = None
 
     json_layout: ClassVar = codec.Layout(omitted={"linearization", "noise", "experiments", "simulated"})
+
+    @property
+    def is_noisy(self) -> bool:
+        """True if each residual exceeds rounding and simulation errors."""
+        squares: dict[str, float] = dict.fromkeys(self.noise_variance, 0.0)
+        for each in self.experiments:
+            for name, values in zip(each.output_names, each.output_values.T, strict=True):
+                squares[name] = max(squares[name], float(np.nanmean(values**2)))
+        return all(self.noise_variance[name] > LIMITS.rounding_share**2 * square for name, square in squares.items())
 
     @property
     def variance(self) -> dict[str, float]:

@@ -48,6 +48,7 @@ class Reason(Enum):
     OBSERVER = "observer"  # noise biases a fit of predictions
     SAMPLING = "sampling"  # posterior samples without convergence
     MISSING_ROWS = "missing_rows"
+    ACQUISITION_DELAY = "acquisition_delay"  # the unknown delay within ±½ sample dominates σ
 
     @property
     def grade(self) -> Grade:
@@ -97,7 +98,7 @@ class Verdict:
     doubts : tuple of Doubt
         The gravest first; empty if passed.
     freed : tuple of Doubt
-        Model errors that are parameters of the result.
+        Model errors that are parameters of the result; a delay within ±½ sample where it dominates σ.
 
     Examples
     --------

@@ -23,6 +23,7 @@ from fmuid.estimation import (
     prepare,
     triangle,
 )
+from fmuid.identification.acquisition_delay import with_delay
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +42,8 @@ class ConditionalOptimum:
         return float(self.residual @ self.residual)
 
 
-def evaluator_of(problem: LeastSquares, result: Result) -> Evaluator[LeastSquares]:
-    """Return the evaluator of a problem as its result was simulated; its names are checked."""
+def delayed(problem: LeastSquares, result: Result) -> tuple[Evaluator[LeastSquares], Result]:
+    """Return evaluator and result, with an included delay (`with_delay`); names are checked."""
     for what, has, needs in (
         ("parameters", result.names, problem.parameters.names),
         ("outputs", tuple(result.fit.noise_variance), problem.output_names),
@@ -52,7 +53,8 @@ def evaluator_of(problem: LeastSquares, result: Result) -> Evaluator[LeastSquare
                 f"the result is of another problem: its {what} are {', '.join(has)}, not {', '.join(needs)}. "
                 "Give a result of this problem."
             )
-    return Evaluator(problem.as_in(result))
+    problem, result = with_delay(problem.as_in(result), result)
+    return Evaluator(problem), result
 
 
 def best_near(evaluator: Evaluator[LeastSquares], result: Result) -> tuple[CostFunction, ConditionalOptimum]:

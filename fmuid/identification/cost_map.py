@@ -19,7 +19,7 @@ from fmuid.blas import single_threaded
 from fmuid.codec import Layout
 from fmuid.errors import InputError
 from fmuid.estimation import LeastSquares, Result, check_level, misfits, refuse_loss, spans_decades, variances
-from fmuid.identification.conditional_optimum import evaluator_of
+from fmuid.identification.conditional_optimum import delayed
 
 
 @dataclass(frozen=True)
@@ -149,8 +149,8 @@ def map_cost(
     ('R', 'L')
     """
     refuse_loss(problem, "a map of the cost")
-    parameters = problem.parameters
-    evaluator = evaluator_of(problem, result)
+    evaluator, result = delayed(problem, result)
+    problem, parameters = evaluator.problem, evaluator.problem.parameters
     where = [parameters.index(first), parameters.index(second)]
     if first == second:
         raise InputError(f"a map needs two different parameters, not {first!r} twice.")

@@ -16,7 +16,8 @@ import scipy
 from scipy import special
 
 from fmuid.array_types import Floats
-from fmuid.estimation import LeastSquares, ResidualNoise, Result, Rows, sandwich
+from fmuid.estimation import LeastSquares, ResidualNoise, Result, augmented
+from fmuid.identification.acquisition_delay import DELAY_PRIOR, delay_columns
 from fmuid.identification.model_errors import LEVEL, DirectedTest, Direction, ErrorKind, ModelError, ModelErrors
 
 
@@ -30,7 +31,6 @@ class DirectedTestSettings:
     alternative: float = 4.0  # of −2 ln L: directions that explain as much
     close_share: float = 0.6  # of the strongest score²: a dead time that scores so much may be the error
     most: int = 3  # errors named
-    rounding_share: float = 1e-6  # of the measured values: smaller residuals are no noise
     power: float = 0.95  # of records in which a detectable size shows
     checked: int = 3  # strongest unweighted directions, tested with the noise that is left beside them: ...
     checked_share: float = 0.25  # ... they have this part of the level, for noise models that took an offset for noise
@@ -50,11 +50,20 @@ class WhitenedRows:
         self.directions, self.problem, self.result = directions, problem, result
         self.raw = np.column_stack([local.residual, -local.jacobian, columns])
         self.prior = np.column_stack([local.prior_residual, -local.prior_jacobian])
-        root = local.root
-        self.shift = np.nan_to_num((root @ (root.T @ (-local.jacobian.T @ columns))) / result.std[:, None])
+        self.shift = np.nan_to_num(_response(problem, result, columns) / result.std[:, None])
         beside = np.hstack([self.prior, np.zeros((len(self.prior), len(directions)))])
         rows, first = np.vstack([whitened(noise, self.raw), beside]), 1 + len(result.names)
         self.residual, self.sensitivities, self.columns = rows[:, 0], rows[:, 1:first], rows[:, first:]
+
+
+def _response(problem: LeastSquares, result: Result, columns: Floats) -> Floats:
+    """Return the change (N, k) of the estimates by whitened outputs."""
+    local = result.fit.linearization
+    assert local is not None, "checked before"
+    if result.fit.delay is None:
+        return np.asarray(local.root @ (local.root.T @ (-local.jacobian.T @ columns)))
+    delays = delay_columns(problem, result)
+    return augmented(local, delays, DELAY_PRIOR).response(columns)[: len(result.names)]
 
 
 def whitened(noise: ResidualNoise, rows: Floats) -> Floats:
@@ -71,24 +80,6 @@ def whitened(noise: ResidualNoise, rows: Floats) -> Floats:
         for each, part in zip(members, parts, strict=True):
             found[each.series.rows] = part
     return found
-
-
-@dataclass(frozen=True, eq=False)
-class FreedFit:
-    """Estimates with directions freed beside the parameters.
-
-    Attributes
-    ----------
-    step : (N + m,) array
-        Change of the parameters, then sizes of the directions.
-    covariance : (N + m, N + m) array
-    freedom : (N + m,) array
-        Degrees of freedom of the variances.
-    """
-
-    step: Floats
-    covariance: Floats
-    freedom: Floats
 
 
 def score_directions(rows: WhitenedRows, known: Sequence[int] = ()) -> list[DirectedTest]:
@@ -108,10 +99,7 @@ def score_directions(rows: WhitenedRows, known: Sequence[int] = ()) -> list[Dire
     scores = np.sign(products) * normal_scores(np.abs(products) / np.sqrt(rest), free - 1)
     beside = np.zeros(len(testable))
     for k in np.argsort(-np.abs(_unweighted(rows, known, testable)))[: SETTINGS.checked].tolist():
-        own = freed(rows, [*known, testable[k]])
-        wald = own.step[-1] / math.sqrt(own.covariance[-1, -1])
-        score = float(np.sign(wald) * normal_scores(np.array([abs(wald)]), float(own.freedom[-1]))[0])
-        beside[k] = score
+        beside[k] = _wald_score(rows, [*known, testable[k]])
     one_sided = np.array([rows.directions[j].one_sided for j in testable], bool)
     if one_sided.any():
         scores, beside = (np.where(one_sided, np.maximum(each, 0.0), each) for each in (scores, beside))
@@ -138,37 +126,14 @@ def _basis(columns: Floats) -> Floats:
     return np.asarray(u[:, s > 1e-10 * s.max(initial=0.0)])
 
 
-def freed(rows: WhitenedRows, chosen: Sequence[int]) -> FreedFit:
-    """Free directions beside the parameters: one step of the unweighted least squares, with the noise that is left."""
-    problem, local = rows.problem, rows.result.fit.linearization
+def _wald_score(rows: WhitenedRows, chosen: Sequence[int]) -> float:
+    """Return the normal score of the last direction, freed beside the others: its size over σ of the noise left."""
+    local = rows.result.fit.linearization
     assert local is not None, "checked before"
-    design = np.hstack(
-        [rows.raw[:, 1 : 1 + len(rows.result.names)], rows.raw[:, [1 + len(rows.result.names) + j for j in chosen]]]
-    )
-    prior = np.zeros((len(rows.prior), design.shape[1]))
-    prior[:, : len(rows.result.names)] = rows.prior[:, 1:]
-    whole, target = np.vstack([design, prior]), np.concatenate([rows.raw[:, 0], rows.prior[:, 0]])
-    scale = np.maximum(np.linalg.norm(whole, axis=0), 1e-300)
-    orthonormal, triangle = np.linalg.qr(whole / scale)
-    inverse = scipy.linalg.solve_triangular(triangle, np.eye(len(scale))) / scale[:, None]
-    step = inverse @ (orthonormal.T @ target)
-    basis = np.linalg.qr(design / scale)[0] if len(prior) else orthonormal
-    left = rows.raw[:, 0] - design @ step
-    own = prior @ inverse
-    given = ~np.isnan(problem.variance)
-    found = sandwich(
-        Rows(
-            left - basis @ (basis.T @ left),
-            basis,
-            design @ inverse,
-            inverse,
-            own.T @ own,
-            given,
-            np.zeros(len(given), bool),
-        ),
-        problem.series,
-    )
-    return FreedFit(step, found.covariance, found.freedom)
+    freed = augmented(local, rows.raw[:, [1 + len(rows.result.names) + j for j in chosen]])
+    found = freed.sandwich(rows.problem)
+    wald = float(freed.step[-1] / math.sqrt(found.covariance[-1, -1]))
+    return float(np.sign(wald) * normal_scores(np.array([abs(wald)]), float(found.freedom[-1]))[0])
 
 
 def _unweighted(rows: WhitenedRows, known: Sequence[int], among: Sequence[int]) -> Floats:
@@ -226,7 +191,7 @@ def find_model_errors(problem: LeastSquares, result: Result) -> ModelErrors | No
     local = result.fit.linearization
     if local is None or problem.loss is not None or not np.isfinite(local.jacobian).all():
         return None
-    if not all(_is_noisy(problem, result, name) for name in problem.output_names):
+    if not result.fit.is_noisy:
         return None
     directions = problem.directions(result)
     if not directions:
@@ -252,9 +217,3 @@ def _is_alternative(test: DirectedTest, strongest: DirectedTest) -> bool:
     share = SETTINGS.close_share if test.direction.kind is ErrorKind.DEAD_TIME else 1.0
     least = min(strongest.score**2 - SETTINGS.alternative, share * strongest.score**2)
     return bool(test.score) and test.score**2 > least
-
-
-def _is_noisy(problem: LeastSquares, result: Result, output: str) -> bool:
-    """Return True if the residual exceeds rounding and simulation errors."""
-    own = problem.measured[problem.groups == problem.output_names.index(output)]
-    return result.fit.noise_variance[output] > SETTINGS.rounding_share**2 * float(np.mean(own**2))

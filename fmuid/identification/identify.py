@@ -12,6 +12,7 @@ from fmuid.errors import InputError, check_kind
 from fmuid.estimation import Evaluator, LeastSquares, Marquardt, Method, Result
 from fmuid.events import Progress
 from fmuid.formatting import nearest
+from fmuid.identification.acquisition_delay import include_delay
 from fmuid.identification.discrete_parameters import search_combinations
 from fmuid.identification.problem import Problem
 from fmuid.identification.solver_check import ACCURACIES, check_solver
@@ -66,7 +67,7 @@ def identify(
     --------
     >>> problem = fmuid.datasets.coil().problem()
     >>> fmuid.identify(problem)
-    Result(converged: R = 3.9989 ± 0.0015, L = 0.100016 ± 0.000050)
+    Result(converged: R = 3.9985 ± 0.0016, L = 0.100042 ± 0.000058)
     """
     given = problem.problem if isinstance(problem, Evaluator) else problem
     check_kind(given, LeastSquares, "problem (of a study file: fmuid.run) must be a fmuid.Problem")
@@ -88,5 +89,7 @@ def identify(
     if solver_check != "off" and not problem.corrected and in_time:
         strategies.append(partial(check_solver, refine=solver_check == "refine"))
     found = walk(strategies, Trial(evaluator.of(problem), method, progress, start))
+    if not problem.corrected:
+        found = include_delay(evaluator, found)
     setup = replace(found.setup, made_with=problem.made_with, observer=problem.observer)
     return replace(found, setup=setup)

@@ -53,7 +53,7 @@ def judge(
     'passed'
     """
     doubts = [*_of_search(result), *_of_identifiability(result), *_of_solver(result)]
-    freed: list[Doubt] = []
+    freed = list(_of_delay(result))
     doubts += [Doubt(Reason.POOR_FIT, key, {"fit": fit}) for key, fit in (fits or {}).items() if fit < MIN_FIT]
     doubts += [Doubt(Reason.MISSING_ROWS, (name,), {"first": float(times[0])}) for name, times in (gaps or {}).items()]
     if assessment is not None:
@@ -114,6 +114,14 @@ def _of_solver(result: Result) -> Iterator[Doubt]:
     elif check.doubtful:
         i = int(np.argmax(np.abs(np.nan_to_num(check.shift))))
         yield Doubt(Reason.SOLVER_ERROR, (result.names[i],), {"shift": float(abs(check.shift[i]))})
+
+
+def _of_delay(result: Result) -> Iterator[Doubt]:
+    """Yield an included delay that brings more variance than the noise."""
+    delay = result.fit.delay
+    if delay is not None and delay.widening.max() > math.sqrt(2.0):
+        name, factor = result.names[int(np.argmax(delay.widening))], float(delay.widening.max())
+        yield Doubt(Reason.ACQUISITION_DELAY, (name,), {"widening": factor})
 
 
 def _of_model_errors(found: ModelErrors, errors: Sequence[ModelError]) -> Iterator[Doubt]:

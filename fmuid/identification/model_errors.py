@@ -61,6 +61,9 @@ CHANGING = frozenset({ErrorKind.SATURATION, ErrorKind.STATE_DEPENDENCE, ErrorKin
 """Parameters that are none: the estimate is their value where the record sees them."""
 
 
+DELAYS = frozenset({ErrorKind.DELAY, ErrorKind.ADVANCE, ErrorKind.INPUT_DELAY, ErrorKind.INPUT_ADVANCE})
+
+
 @dataclass(frozen=True, eq=False)
 class Direction:
     """A possible model error.

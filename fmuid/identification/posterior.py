@@ -7,7 +7,7 @@ whose equations are cited; pairs of autocorrelations end as by Geyer, Stat. Scie
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
 from typing import Annotated, Any, ClassVar
@@ -142,6 +142,11 @@ class Posterior:
             *("steps", "walkers"),
         ),
     )
+
+    def first(self, count: int) -> Posterior:
+        """Return the samples of the first parameters."""
+        parts = {name: getattr(self, name)[:count] for name in ("names", "lower", "upper")}
+        return replace(self, **parts, chain=self.chain[..., :count], optima=self.optima[:, :count])
 
     @property
     def steps(self) -> int:

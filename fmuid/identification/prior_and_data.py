@@ -32,6 +32,7 @@ from fmuid.estimation import (
     sandwich_of,
 )
 from fmuid.formatting import nearest
+from fmuid.identification.acquisition_delay import DelayedNoise
 from fmuid.identification.conditional_optimum import PartialCost, cost_at, minimized
 from fmuid.identification.prior_data_tests import PriorDataTest, VarianceTest, agree, known_variances, variance_tests
 from fmuid.identification.residual_analysis import ResidualAnalysis, analyze_residuals
@@ -243,18 +244,20 @@ def compare_prior_and_data(
             own = replace(there, prior_residual=np.zeros(0), prior_jacobian=none, combined=there.data)
             noise = sandwich_of(problem, own, np.zeros(problem.counts.size, dtype=np.bool_)).noise
     searched = there is not local
+    allowed = DelayedNoise.of(problem.as_in(result), result, noise)
+    local, there = allowed.local(local), allowed.local(there)
     return PriorDataComparison(
         result.names,
         result.estimates.prior_mean,
         result.estimates.prior_std,
         at + there.data_step(),
-        there.data_std(noise.gram(there.data_basis)),
+        there.data_std(allowed.gram(there.data_basis)),
         searched,
         result.values,
         result.std,
         at + there.combine().step if searched else np.full(at.size, np.nan),
         local.moves(),
-        agree(there, noise),
+        agree(there, allowed),
         variances,
         obstacle,
     )

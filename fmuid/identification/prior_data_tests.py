@@ -14,8 +14,9 @@ import numpy as np
 from scipy import special
 
 from fmuid.errors import InputError
-from fmuid.estimation import LeastSquares, LinearizedProblem, ResidualNoise, Result
+from fmuid.estimation import LeastSquares, LinearizedProblem, Result
 from fmuid.formatting import nearest
+from fmuid.identification.acquisition_delay import DelayedNoise
 from fmuid.identification.residual_analysis import ResidualAnalysis
 
 SIGNIFICANCE_LEVEL = 0.01  # tests fail below this probability
@@ -66,7 +67,7 @@ class PriorDataTest:
         return self.probability >= SIGNIFICANCE_LEVEL
 
 
-def agree(local: LinearizedProblem, noise: ResidualNoise) -> PriorDataTest | None:
+def agree(local: LinearizedProblem, noise: DelayedNoise) -> PriorDataTest | None:
     """Test prior against data, best at the optimum of data alone."""
     found = local.combine(noise.gram(local.data_basis)) if len(local.prior_residual) else None
     if found is None or found.degrees_of_freedom <= 0:

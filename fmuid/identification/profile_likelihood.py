@@ -23,7 +23,7 @@ from fmuid.codec import Layout
 from fmuid.errors import InputError
 from fmuid.estimation import ActiveBound, CostFunction, LeastSquares, Result, TerminationReason, check_level
 from fmuid.events import ProfileStep, Progress
-from fmuid.identification.conditional_optimum import ConditionalOptimum, best_near, best_with, evaluator_of
+from fmuid.identification.conditional_optimum import ConditionalOptimum, best_near, best_with, delayed
 
 
 @dataclass(frozen=True)
@@ -175,9 +175,10 @@ def profile_likelihood(
     >>> [profile.name for profile in fmuid.profile_likelihood(problem, result, ["R"])]
     ['R']
     """
-    evaluator = evaluator_of(problem, result)
+    listed = result.names if names is None else names
     check_level(level)
-    listed = problem.parameters.names if names is None else names
+    evaluator, result = delayed(problem, result)
+    problem = evaluator.problem
     chosen = [problem.parameters.index(name) for name in dict.fromkeys(listed)]
     function, origin = best_near(evaluator, result)
     far, scatter = reach(problem, result), _scatter(problem, result)

@@ -17,8 +17,9 @@ from fmuid.array_types import Floats
 from fmuid.data import Parameter
 from fmuid.estimation import Estimates, Evaluator, FunctionPredictions, LeastSquares, Marquardt, Result, SolverCheck
 from fmuid.events import Progress
+from fmuid.identification.acquisition_delay import include_delay
 from fmuid.identification.directed_tests import find_model_errors, whitened
-from fmuid.identification.model_errors import DirectedTest, Direction, ErrorKind, ModelError, ModelErrors
+from fmuid.identification.model_errors import DELAYS, DirectedTest, Direction, ErrorKind, ModelError, ModelErrors
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,9 @@ def without_sizes(result: Result, count: int) -> Result:
             prior_jacobian=local.prior_jacobian[:, :count],
             magnitudes=local.magnitudes[:count],
         )
-    fit, check = replace(result.fit, linearization=local), result.accuracy
+    delay = result.fit.delay
+    delay = None if delay is None else replace(delay, widening=delay.widening[:count])
+    fit, check = replace(result.fit, linearization=local, delay=delay), result.accuracy
     check = None if check is None else replace(check, shift=check.shift[:count])
     return replace(result, estimates=_first(result.estimates, count), fit=fit, accuracy=check)
 
@@ -179,8 +182,16 @@ def _extended(
     weights = np.where(rough, 1.0, np.exp(likelihoods - likelihoods.max()))
     weights[weights < SETTINGS.least_weight] = 0.0
     likely = [each for each, weight in zip(fits, weights.tolist(), strict=True) if weight and each[2] is not best]
-    again = _averaged([each[2] for each in fits], best, weights / weights.sum(), len(result.names))
+    delayed = [_delayed(each) if weight else each[2] for each, weight in zip(fits, weights.tolist(), strict=True)]
+    again = _averaged(delayed, delayed[int(np.argmax(likelihoods))], weights / weights.sum(), len(result.names))
     return errors, corrected, again, tuple(each[0][-1].test.direction for each in likely)
+
+
+def _delayed(fitted: tuple[list[ModelError], CorrectedProblem, Result]) -> Result:
+    """Return a fit that allows for a delay, unless one is freed."""
+    errors, corrected, again = fitted
+    free = any(each.kinds & DELAYS for each in errors)
+    return again if free else include_delay(Evaluator(corrected), again)
 
 
 def _pruned(problem: LeastSquares, result: Result, found: Fitted, progress: Progress | None) -> Fitted:
@@ -190,7 +201,7 @@ def _pruned(problem: LeastSquares, result: Result, found: Fitted, progress: Prog
     scores = np.abs(again.values[count:]) / again.std[count:]
     kept = [each for each, score in zip(errors, scores.tolist(), strict=True) if score >= SETTINGS.significant]
     fitted = _fit(problem, result, kept, progress) if 0 < len(kept) < len(errors) else None
-    return found if fitted is None else (kept, *fitted, ())
+    return found if fitted is None else (kept, fitted[0], _delayed((kept, *fitted)), ())
 
 
 def _candidates(found: ModelErrors) -> list[ModelError]:

@@ -24,7 +24,7 @@ from fmuid.blas import single_threaded
 from fmuid.errors import InputError, SimulationError
 from fmuid.estimation import Evaluator, GlobalSearch, LeastSquares, Result, TerminationReason
 from fmuid.events import Progress, SamplingStep
-from fmuid.identification.conditional_optimum import evaluator_of
+from fmuid.identification.conditional_optimum import delayed
 from fmuid.identification.likelihood_scaling import adjustment
 from fmuid.identification.posterior import Posterior, SamplerSettings
 from fmuid.identification.profile_likelihood import reach
@@ -90,7 +90,8 @@ def sample_posterior(
     >>> posterior.table.shape
     (480, 2)
     """
-    return _Sampler(evaluator_of(problem, result), result, settings or SamplerSettings(), progress).run()
+    found = _Sampler(*delayed(problem, result), settings or SamplerSettings(), progress).run()
+    return found.first(len(result.names))
 
 
 def log_density(

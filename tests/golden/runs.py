@@ -96,7 +96,9 @@ def shipped(model: str) -> Numbers:
     )
     known = {name: value for name, value in reference.parameters.items() if name not in free}
     parameters = {name: fmuid.Parameter(0.8 * reference.parameters[name], min=0.0) for name in free}
-    problem = fmuid.Problem(FMUS / model / f"{model}.fmu", experiment, parameters, values=known)
+    problem = fmuid.Problem(
+        FMUS / model / f"{model}.fmu", experiment, parameters, values=known, noise=fmuid.Noise(delay_std=0.0)
+    )
     return of_result(fmuid.identify(problem))
 
 

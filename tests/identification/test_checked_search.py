@@ -21,6 +21,7 @@ EXPERIMENTS = ROOT / "experiments"
 
 TRUTH, STEP, NOISE = 2.0, 0.05, 0.004
 START = {"k": fmuid.Parameter(1.0, min=0.01)}
+SYNCHRONOUS = fmuid.Noise(delay_std=0.0)
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +46,9 @@ def off(result: fmuid.Result, truth: float = TRUTH) -> float:
 def solved(folder: Path, table: fmuid.Experiment | None = None, k: float = 1.0, **fmu: Any) -> fmuid.Problem:
     """Return the problem of a lag whose FMU steps by explicit Euler, by default from k = 1."""
     start, loss = {"k": fmuid.Parameter(k, min=0.01)}, fmu.pop("loss", "linear")
-    return fmuid.Problem(stepping_fmu(folder, LAG, **fmu), lag_table() if table is None else table, start, loss=loss)
+    return fmuid.Problem(
+        stepping_fmu(folder, LAG, **fmu), lag_table() if table is None else table, start, loss=loss, noise=SYNCHRONOUS
+    )
 
 
 def checked(result: fmuid.Result) -> Any:
@@ -250,7 +253,9 @@ def in_a_loop(folder: Path, table: fmuid.Experiment, order: int, samples: bool |
     }
     links = [("lag.x", "controller.i"), ("controller.u", "lag.u")]
     with closing(fmuid.System(components=models, connections=links)) as system:
-        return fmuid.identify(fmuid.Problem(system, table, {"lag.k": fmuid.Parameter(1.0, min=0.01)}, values=CONTROL))
+        return fmuid.identify(
+            fmuid.Problem(system, table, {"lag.k": fmuid.Parameter(1.0, min=0.01)}, values=CONTROL, noise=SYNCHRONOUS)
+        )
 
 
 def test_a_sampled_control_is_not_made_a_faster_one(folder: Path) -> None:

@@ -64,11 +64,11 @@ def closed(u: Floats, delay: float = 0.0) -> Floats:
     return late if delay else found
 
 
-def problem_of(u: Floats, i: Floats, interpolation: str = "zoh") -> Problem:
+def problem_of(u: Floats, i: Floats, interpolation: str = "zoh", delay_std: float = 0.0) -> Problem:
     frame = pd.DataFrame({"time": TIMES, "u": u, "i": i})
     experiment = fmuid.Experiment(frame, ["u"], ["i"], interpolation=interpolation)
     parameters = {"R": fmuid.Parameter(3.0, min=0.0), "L": fmuid.Parameter(0.03, min=1e-4)}
-    return fmuid.Problem(COIL, experiment, parameters)
+    return fmuid.Problem(COIL, experiment, parameters, noise=fmuid.Noise(delay_std=delay_std))
 
 
 @cache
@@ -255,7 +255,9 @@ def test_refit_weighs_samples_by_their_own_noise() -> None:
     problem = problem_of(u, closed(u, 1.0) + level * rng.standard_normal(COUNT))
     frame = problem.experiments[0].frame.assign(level=level)
     experiment = fmuid.Experiment(frame, ["u"], ["i"], interpolation="zoh")
-    problem = fmuid.Problem(COIL, experiment, problem.given_parameters, noise=fmuid.Noise(std={"i": "level"}))
+    problem = fmuid.Problem(
+        COIL, experiment, problem.given_parameters, noise=fmuid.Noise(std={"i": "level"}, delay_std=0.0)
+    )
     result = fmuid.identify(problem)
     found = find_model_errors(problem, result)
     again = None if found is None else refit(problem.as_in(result), result, found)
@@ -303,6 +305,7 @@ def late_study(folder: Path, **sections: object) -> fmuid.Study:
         "model": {"fmu": str(COIL)},
         "experiments": [{"data": "late.csv", "inputs": ["u"], "outputs": ["i"], "interpolation": "zoh"}],
         "parameters": {"R": {"start": 3.0, "min": 0.0}, "L": {"start": 0.03, "min": 1e-4}},
+        "noise": {"delay_std": 0.0},
     }
     return fmuid.Study.of(content | sections, folder / "study.toml")
 

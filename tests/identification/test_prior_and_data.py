@@ -121,7 +121,7 @@ def test_a_changed_machine_is_noticed(resistance: float, holds: bool) -> None:
         name: Parameter(m, min=1e-4, prior=Normal(m, s))
         for name, m, s in zip(("Rs", "Rr", "Lm", "Lf"), mean, stds, strict=True)
     }
-    problem = Problem(study.system, study.tables, parameters, noise=Noise(0.0462))
+    problem = Problem(study.system, study.tables, parameters, noise=Noise(0.0462, delay_std=0.0))
     reading = compare_prior_and_data(problem, identify(problem), search_data=True)
     assert reading.searched
     assert reading.agreement is not None

@@ -107,8 +107,7 @@ def sandwich_of(problem: LeastSquares, local: LinearizedProblem, rounding: Flags
         basis = local.data_basis
         residual = residual - basis @ (basis.T @ residual)
     rows = Rows(residual, basis, columns, root, own.T @ own, given, rounding)
-    found = sandwich(rows, problem.series)
-    found = _with_returning(found, rows, problem.periods)
+    found = sandwich(rows, problem.series, problem.periods)
     lost = ~np.isfinite(np.diag(local.combined.covariance))
     covariance = found.covariance.copy()
     covariance[lost, :] = covariance[:, lost] = np.nan
@@ -116,8 +115,10 @@ def sandwich_of(problem: LeastSquares, local: LinearizedProblem, rounding: Flags
     return replace(found, covariance=covariance)
 
 
-def sandwich(rows: Rows, series: Sequence[OutputSeries]) -> SandwichCovariance:
-    """Return the covariance under the noise of all series."""
+def sandwich(
+    rows: Rows, series: Sequence[OutputSeries], periods: Mapping[str, float] | None = None
+) -> SandwichCovariance:
+    """Return the covariance under the noise of all series, and periodic errors."""
     grids, pools = _members([each.grid for each in series]), _members([each.pool for each in series])
     parts = [SampleGrid(rows, [series[i] for i in members], members) for members in grids]
     rounds = SETTINGS.rounds if len(rows.residual) <= SETTINGS.long else 1
@@ -151,7 +152,8 @@ def sandwich(rows: Rows, series: Sequence[OutputSeries]) -> SandwichCovariance:
     noise = ResidualNoise(
         tuple(NoiseModel(each, models[i]) for i, each in enumerate(series)), tuple(part.innovations for part in parts)
     )
-    return SandwichCovariance(covariance, freedom, noise)
+    found = SandwichCovariance(covariance, freedom, noise)
+    return found if periods is None else _with_returning(found, rows, periods)
 
 
 def _with_returning(found: SandwichCovariance, rows: Rows, periods: Mapping[str, float]) -> SandwichCovariance:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
 import pandas as pd
 
 from fmuid.estimation import Result, Verdict
-from fmuid.formatting import fit_text, unit_text
+from fmuid.formatting import fit_text, unit_text, with_std
 from fmuid.identification import ModelErrors, judge
 from fmuid.models import SolverConfiguration
 from fmuid.reports.document import Document, Message, Remark, Section, bad, origin_of, plain
@@ -189,6 +190,11 @@ def _assumptions(found: IdentificationRun) -> list[tuple[str, str, str]]:
         where = f" in {experiment.name}" if len(result.fit.experiments) > 1 else ""
         for name, held in zip(experiment.input_names, experiment.held.tolist(), strict=True):
             rows.append((f"{name}{where} between samples", "held" if held else "interpolated", ""))
+    delay = result.fit.delay
+    if delay is not None:
+        i = int(np.argmax(delay.widening))
+        effect = f"found {with_std(delay.samples, delay.std)} samples; σ of {result.names[i]} × {delay.widening[i]:.2f}"
+        rows.append(("delay of outputs", "within ±½ sample (`noise.delay_std`)", effect))
     if result.fit.noise is not None:
         for model in result.fit.noise.models:
             order = model.process.coefficients.size

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import groupby
 
 from fmuid.estimation import Doubt, Grade, Reason, Verdict
@@ -82,6 +82,11 @@ class VerdictMessage(Message):
     OBSERVER = ("fit of predictions by an observer", "measurement noise biases it", "Use a slower observer.")
     SAMPLING = ("posterior samples did not converge", "credible intervals are unreliable", "Raise `steps`.")
     MISSING_ROWS = ("rows missing in {subjects}", "inputs are interpolated", "Cut the data there.")
+    ACQUISITION_DELAY = (
+        "σ of {first} includes a delay within ±½ sample (× {widening:.2g})",
+        "channels need not be read at one instant; this delay dominates σ",
+        "Set `noise.delay_std = 0` if they are.",
+    )
 
 
 def verdict_state(verdict: Verdict) -> tuple[str, Tone]:
@@ -91,8 +96,9 @@ def verdict_state(verdict: Verdict) -> tuple[str, Tone]:
 
 def reason_words(verdict: Verdict) -> str:
     """Return the gravest reasons, and the number of others."""
-    told = [f"freed: {listed([error_words(each) for each in verdict.freed])}"] if verdict.freed else []
-    told += _phrases(verdict)
+    freed = [error_words(each) for each in verdict.freed if each.reason is Reason.MODEL_ERROR]
+    told = [f"freed: {listed(freed)}"] if freed else []
+    told += _phrases([*verdict.doubts, *(each for each in verdict.freed if each.reason is not Reason.MODEL_ERROR)])
     more = [f"{len(told) - SHOWN_REASONS} more"] if len(told) > SHOWN_REASONS else []
     return "; ".join([*told[:SHOWN_REASONS], *more])
 
@@ -102,11 +108,12 @@ def remedy_words(verdict: Verdict) -> str:
     first = next(iter((*verdict.doubts, *verdict.freed)), None)
     if first is not None and first.reason is Reason.MODEL_ERROR:
         return error_remedy(first)
-    return next((text for each in verdict.reasons if (text := VerdictMessage[each.name].remedy)), "")
+    told = [each.reason for each in (*verdict.doubts, *verdict.freed)]
+    return next((text for each in told if (text := VerdictMessage[each.name].remedy)), "")
 
 
-def _phrases(verdict: Verdict) -> Iterator[str]:
-    for reason, group in groupby(verdict.doubts, key=lambda each: each.reason):
+def _phrases(found: Sequence[Doubt]) -> Iterator[str]:
+    for reason, group in groupby(found, key=lambda each: each.reason):
         doubts = list(group)
         first = doubts[0]
         words = {

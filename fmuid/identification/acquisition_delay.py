@@ -1,0 +1,195 @@
+"""Delay of the acquisition in every interval: outputs read up to half a sample before or after the inputs.
+
+Late and early outputs move by different secants, because held inputs bend the outputs at the samples. Each has a prior
+of `Noise.delay_std`/√2, together a uniform delay's variance; the estimates are those beside both sizes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fmuid.array_types import Floats
+from fmuid.data import Experiment, Normal, Parameter, usual_step
+from fmuid.estimation import (
+    AccuracyOutcome,
+    AcquisitionDelay,
+    AugmentedProblem,
+    Evaluator,
+    FunctionPredictions,
+    LeastSquares,
+    LinearizedProblem,
+    Marquardt,
+    Predictor,
+    ResidualNoise,
+    Result,
+    SandwichCovariance,
+    augmented,
+    with_shift,
+)
+
+
+@dataclass(frozen=True)
+class DelaySettings:
+    """Numbers of the included delay."""
+
+    steps: int = 2  # Gauss-Newton, with the Jacobian of the optimum; a delay moves estimates by a few σ
+    box: float = 6.0  # σ; bounds of the sizes, for searches of a box
+
+
+SETTINGS = DelaySettings()
+HALF = math.sqrt(0.5)  # of the delay's σ: late and early outputs share its variance
+DELAY_PRIOR = np.full(2, HALF)
+SIZES = ("delay of outputs", "advance of outputs")
+
+
+def include_delay(evaluator: Evaluator[LeastSquares], result: Result) -> Result:
+    """Return a result whose estimates and covariance allow for a delay.
+
+    Unchanged where nothing can be said: no inputs, no convergence, a robust loss, or a parameter at a bound.
+    """
+    local, problem = result.fit.linearization, evaluator.problem.as_in(result)
+    delays = _delays(problem)
+    if local is None or not result.converged or problem.loss is not None or result.estimates.at_bounds:
+        return result
+    if not any(delays) or not np.isfinite(result.std).all():
+        return result
+    if not result.fit.is_noisy:
+        return result
+    evaluator = evaluator.finer(problem.refinement) if not result.chosen else evaluator.of(problem)
+    levels, prior = _levels(problem, result), problem.parameters
+    theta, count, before, now = result.values, len(result.names), evaluator.simulations, result
+    for _ in range(SETTINGS.steps):
+        columns = delay_columns(problem, now)
+        if not columns.any():
+            return result
+        freed = augmented(local, columns, DELAY_PRIOR)
+        theta = np.clip(theta + freed.step[:count], prior.lower, prior.upper)
+        rows = evaluator.predict(theta[None])[0]
+        if not np.isfinite(rows).all():
+            return result
+        local = replace(
+            local, residual=(problem.measured - rows) / levels, prior_residual=prior.prior_residual(theta[None])[0]
+        )
+        fit = replace(result.fit, linearization=local, simulated=tuple(evaluator.outputs(theta, rows)))
+        now = replace(result, fit=fit, estimates=replace(result.estimates, values=theta))
+    spent = replace(result.history, simulations=result.history.simulations + evaluator.simulations - before)
+    return _allowing(replace(now, history=spent), freed, freed.sandwich(problem), max(delays))
+
+
+def _allowing(result: Result, freed: AugmentedProblem, found: SandwichCovariance, delay: float) -> Result:
+    """Return a result with the estimates beside a delay; its solver error moves them by as much as before."""
+    count, net, check = len(result.names), delay * np.array([1.0, -1.0]), result.accuracy
+    shifted = check is not None and check.outcome is AccuracyOutcome.SHIFTED
+    before = result.std / np.sqrt(1.0 + check.shift**2) if check is not None and shifted else result.std
+    covariance = found.covariance[:count, :count]
+    std = np.sqrt(np.diag(covariance))
+    variance = float(net @ found.covariance[count:, count:] @ net)
+    fit = replace(
+        result.fit, delay=AcquisitionDelay(float(net @ freed.step[count:]), math.sqrt(variance), std / before)
+    )
+    estimates = replace(
+        result.estimates,
+        covariance=covariance,
+        covariance_white_noise=freed.root[:count] @ freed.root[:count].T,
+        variance_dof=found.freedom[:count],
+    )
+    if check is None:
+        return replace(result, estimates=estimates, fit=fit)
+    check = replace(check, shift=check.shift * before / std)
+    result = replace(result, estimates=estimates, fit=fit, accuracy=check)
+    return with_shift(result, check) if shifted else result
+
+
+def delay_columns(problem: LeastSquares, result: Result) -> Floats:
+    """Return the change (n, 2) of whitened outputs by one σ each."""
+    tables = zip(*map(secants, problem.experiments, result.fit.simulated, _delays(problem)), strict=True)
+    columns = np.stack([problem.stacked(each) for each in tables], axis=1)
+    return np.asarray(columns / _levels(problem, result)[:, None])
+
+
+@dataclass(frozen=True, eq=False)
+class DelayedNoise:
+    """Noise of rows that allow for a delay: W½ r and W½ J, with W = (I + D Dᵀ)⁻¹ and D the delay's columns.
+
+    Their least squares are those with the delay's sizes as parameters.
+    """
+
+    noise: ResidualNoise
+    basis: Floats  # (n, m), of D
+    shares: Floats  # (m,), singular values of W½ D
+
+    @classmethod
+    def of(cls, problem: LeastSquares, result: Result, noise: ResidualNoise) -> DelayedNoise:
+        """Return the noise with the delay of a result; m = 0 without one."""
+        if result.fit.delay is None:
+            return cls(noise, np.zeros((problem.measured.size, 0)), np.zeros(0))
+        u, s, _ = np.linalg.svd(delay_columns(problem, result), full_matrices=False)
+        return cls(noise, u, s / np.sqrt(1.0 + s**2))
+
+    def rows(self, given: Floats) -> Floats:
+        """Return W½ times rows (n,) or (n, k)."""
+        keep = np.sqrt(1.0 - self.shares**2)
+        return np.asarray(given - (self.basis * (1.0 - keep)) @ (self.basis.T @ given))
+
+    def local(self, given: LinearizedProblem) -> LinearizedProblem:
+        """Return a linearized problem in these rows."""
+        return replace(given, residual=self.rows(given.residual), jacobian=self.rows(given.jacobian))
+
+    def gram(self, columns: Floats) -> Floats:
+        """Return XᵀΓX (k, k) of columns (n, k)."""
+        along = self.shares[:, None] * (self.basis.T @ columns)
+        return self.noise.gram(self.rows(columns)) + along.T @ along
+
+
+def _levels(problem: LeastSquares, result: Result) -> Floats:
+    """Return the noise level of each counted sample (n,)."""
+    return np.asarray(np.sqrt([result.fit.variance[name] for name in problem.output_names])[problem.groups])
+
+
+def _delays(problem: LeastSquares) -> list[float]:
+    """Return σ of the delay in each experiment, samples."""
+    return [problem.noise.delay_in(each.name) if each.input_names else 0.0 for each in problem.experiments]
+
+
+class DelayedPredictor:
+    """Predictor with late and early outputs: the last two numbers of theta."""
+
+    def __init__(self, predictor: Predictor, experiment: Experiment, delay: float) -> None:
+        self._predictor, self._experiment, self._delay = predictor, experiment, delay
+
+    def many(self, thetas: ArrayLike) -> FunctionPredictions:
+        """Simulate thetas (m, N_i + 2), equal ones of the model once."""
+        given = np.asarray(thetas, dtype=np.float64)
+        own, back = np.unique(given[:, :-2], axis=0, return_inverse=True)
+        found, places = self._predictor.many(own), back.ravel().tolist()
+        outputs = np.array(found.outputs)[places]
+        for each, sizes in zip(outputs, given[:, -2:], strict=True):
+            late, early = secants(self._experiment, each, self._delay)
+            each += sizes[0] * late + sizes[1] * early
+        return FunctionPredictions(outputs, tuple(found.errors[i] for i in places))
+
+
+def with_delay(problem: LeastSquares, result: Result) -> tuple[LeastSquares, Result]:
+    """Return problem and result with an included delay as parameters."""
+    if result.fit.delay is None:
+        return problem, result
+    base = problem.as_in(result)
+    made = [DelayedPredictor(*each) for each in zip(base.predictors, base.experiments, _delays(base), strict=True)]
+    size = Parameter(0.0, nominal=HALF, min=-SETTINGS.box * HALF, max=SETTINGS.box * HALF, prior=Normal(0.0, HALF))
+    given = {**base.given_parameters, **dict.fromkeys(SIZES, size)}
+    delayed = LeastSquares(made, base.experiments, given, noise=base.noise, joint_prior=base.joint_prior)
+    start = np.concatenate([result.values, np.zeros(2)])
+    return delayed, Marquardt().search(Evaluator(delayed), None, start)
+
+
+def secants(experiment: Experiment, outputs: Floats, delay: float) -> tuple[Floats, Floats]:
+    """Return the change of outputs (K, n_outputs) by delay and advance, samples."""
+    steps, edge = np.diff(experiment.times)[:, None], np.zeros((1, outputs.shape[1]))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slopes = np.where(steps > 0.0, np.diff(outputs, axis=0) / steps, 0.0)
+    moved = slopes * usual_step(experiment.times) * delay
+    return np.vstack([edge, -moved]), np.vstack([moved, edge])
