@@ -179,7 +179,7 @@ COLUMN = (
 """From a column of a CSV file to its figure in the report."""
 PRIOR = (
     *("studies.parameters", "data.priors", "data.parameters", "estimation.problem", "estimation.cost_function"),
-    *("identification.conditional_optimum", "identification.sampler", "identification.posterior"),
+    *("identification.acquisition_delay", "identification.sampler", "identification.posterior"),
     *("identification.assessment", "runs.findings", "reports.topics.uncertainty_charts", "reports.chart"),
     *("reports.render.bokeh_renderer", "reports.render.html"),
 )

@@ -70,7 +70,7 @@ def _write(folder: Path, batch: str, samples: int = SAMPLES) -> Path:
     write_table(folder / "table.csv", seed=1, samples=samples)
     path = folder / "study.toml"
     text = STUDY.format(fmu=(FMUS / "Coil" / "Coil.fmu").as_posix(), table="table.csv")
-    path.write_text(f"{text}[batch]\n{batch}", encoding="utf-8")
+    path.write_text(f"{text}[noise]\ndelay_std = 0.0\n[batch]\n{batch}", encoding="utf-8")
     return path
 
 

@@ -42,6 +42,12 @@ class AugmentedProblem:
         """Change of the parameters, then sizes of the columns (N + m,)."""
         return self.root @ (self.root.T @ (np.vstack([self.design, self.prior]).T @ self.target))
 
+    @property
+    def spread(self) -> float:
+        """Mean square of the residual that is left."""
+        left = self.target - np.vstack([self.design, self.prior]) @ self.step
+        return float(left @ left) / max(len(left) - len(self.root), 1)
+
     def response(self, columns: Floats) -> Floats:
         """Return changes (N + m, k) of the estimates by outputs (n, k)."""
         return np.asarray(self.root @ (self.root.T @ (self.design.T @ columns)))

@@ -14,10 +14,12 @@ from numpy.typing import ArrayLike
 
 from fmuid.array_types import Floats
 from fmuid.data import Experiment, Normal, Parameter, usual_step
+from fmuid.errors import InputError
 from fmuid.estimation import (
     AccuracyOutcome,
     AcquisitionDelay,
     AugmentedProblem,
+    CostFunction,
     Evaluator,
     FunctionPredictions,
     LeastSquares,
@@ -27,16 +29,20 @@ from fmuid.estimation import (
     ResidualNoise,
     Result,
     SandwichCovariance,
+    WhitenedJacobian,
     augmented,
+    local_covariance,
     with_shift,
 )
+from fmuid.identification.conditional_optimum import cost_at
 
 
 @dataclass(frozen=True)
 class DelaySettings:
     """Numbers of the included delay."""
 
-    steps: int = 2  # Gauss-Newton, with the Jacobian of the optimum; a delay moves estimates by a few σ
+    steps: int = 4  # Gauss-Newton; a delay moves estimates by a few σ
+    far: float = 0.5  # σ; estimates that moved so far need another Jacobian, and another step
     box: float = 6.0  # σ; bounds of the sizes, for searches of a box
 
 
@@ -60,24 +66,42 @@ def include_delay(evaluator: Evaluator[LeastSquares], result: Result) -> Result:
     if not result.fit.is_noisy:
         return result
     evaluator = evaluator.finer(problem.refinement) if not result.chosen else evaluator.of(problem)
-    levels, prior = _levels(problem, result), problem.parameters
-    theta, count, before, now = result.values, len(result.names), evaluator.simulations, result
+    limits, before, levels = problem.parameters, evaluator.simulations, _levels(problem, result)
+    theta, count, now, begin = result.values, len(result.names), result, result.values
     for _ in range(SETTINGS.steps):
         columns = delay_columns(problem, now)
         if not columns.any():
             return result
         freed = augmented(local, columns, DELAY_PRIOR)
-        theta = np.clip(theta + freed.step[:count], prior.lower, prior.upper)
+        theta = np.clip(theta + freed.step[:count], limits.lower, limits.upper)
         rows = evaluator.predict(theta[None])[0]
         if not np.isfinite(rows).all():
             return result
-        local = replace(
-            local, residual=(problem.measured - rows) / levels, prior_residual=prior.prior_residual(theta[None])[0]
-        )
+        prior = limits.prior_residual(theta[None])[0]
+        local = replace(local, residual=(problem.measured - rows) / levels, prior_residual=prior)
+        far = np.abs(theta - begin) > SETTINGS.far * np.sqrt(np.sum(freed.root[:count] ** 2, axis=1))
+        if far.any():
+            begin, local = theta, _linearized(cost_at(evaluator, result), theta, local)
         fit = replace(result.fit, linearization=local, simulated=tuple(evaluator.outputs(theta, rows)))
         now = replace(result, fit=fit, estimates=replace(result.estimates, values=theta))
+        if not far.any():
+            break
     spent = replace(result.history, simulations=result.history.simulations + evaluator.simulations - before)
     return _allowing(replace(now, history=spent), freed, freed.sandwich(problem), max(delays))
+
+
+def _linearized(function: CostFunction, theta: Floats, local: LinearizedProblem) -> LinearizedProblem:
+    """Return the problem linearized at theta, where `local` has its residual."""
+    residual = np.concatenate([local.residual, local.prior_residual])
+    jacobian = function.jacobian(theta, residual, central=True)
+    error, magnitudes = function.jacobian_error(theta, residual, central=True), function.magnitudes(theta)
+    names, data = function.problem.parameters.names, len(local.residual)
+    made = [
+        local_covariance(names, WhitenedJacobian(jacobian[:rows], error, max(rows - data, 0)), magnitudes, theta=theta)
+        for rows in (data, len(jacobian))
+    ]
+    rows = residual[:data], jacobian[:data], residual[data:], jacobian[data:]
+    return LinearizedProblem(*rows, magnitudes, *made)
 
 
 def _allowing(result: Result, freed: AugmentedProblem, found: SandwichCovariance, delay: float) -> Result:
@@ -94,7 +118,7 @@ def _allowing(result: Result, freed: AugmentedProblem, found: SandwichCovariance
     estimates = replace(
         result.estimates,
         covariance=covariance,
-        covariance_white_noise=freed.root[:count] @ freed.root[:count].T,
+        covariance_white_noise=freed.root[:count] @ freed.root[:count].T * freed.spread,
         variance_dof=found.freedom[:count],
     )
     if check is None:
@@ -184,6 +208,21 @@ def with_delay(problem: LeastSquares, result: Result) -> tuple[LeastSquares, Res
     delayed = LeastSquares(made, base.experiments, given, noise=base.noise, joint_prior=base.joint_prior)
     start = np.concatenate([result.values, np.zeros(2)])
     return delayed, Marquardt().search(Evaluator(delayed), None, start)
+
+
+def delayed(problem: LeastSquares, result: Result) -> tuple[Evaluator[LeastSquares], Result]:
+    """Return evaluator and result, with an included delay (`with_delay`); names are checked."""
+    for what, has, needs in (
+        ("parameters", result.names, problem.parameters.names),
+        ("outputs", tuple(result.fit.noise_variance), problem.output_names),
+    ):
+        if has != needs:
+            raise InputError(
+                f"the result is of another problem: its {what} are {', '.join(has)}, not {', '.join(needs)}. "
+                "Give a result of this problem."
+            )
+    problem, result = with_delay(problem.as_in(result), result)
+    return Evaluator(problem), result
 
 
 def secants(experiment: Experiment, outputs: Floats, delay: float) -> tuple[Floats, Floats]:

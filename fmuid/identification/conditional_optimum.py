@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fmuid.array_types import Floats, Indices
-from fmuid.errors import InputError
 from fmuid.estimation import (
     CostFunction,
     Descent,
@@ -23,7 +22,6 @@ from fmuid.estimation import (
     prepare,
     triangle,
 )
-from fmuid.identification.acquisition_delay import with_delay
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,21 +38,6 @@ class ConditionalOptimum:
     def cost(self) -> float:
         """The cost J_C (1.37)."""
         return float(self.residual @ self.residual)
-
-
-def delayed(problem: LeastSquares, result: Result) -> tuple[Evaluator[LeastSquares], Result]:
-    """Return evaluator and result, with an included delay (`with_delay`); names are checked."""
-    for what, has, needs in (
-        ("parameters", result.names, problem.parameters.names),
-        ("outputs", tuple(result.fit.noise_variance), problem.output_names),
-    ):
-        if has != needs:
-            raise InputError(
-                f"the result is of another problem: its {what} are {', '.join(has)}, not {', '.join(needs)}. "
-                "Give a result of this problem."
-            )
-    problem, result = with_delay(problem.as_in(result), result)
-    return Evaluator(problem), result
 
 
 def best_near(evaluator: Evaluator[LeastSquares], result: Result) -> tuple[CostFunction, ConditionalOptimum]:

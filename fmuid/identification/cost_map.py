@@ -19,7 +19,7 @@ from fmuid.blas import single_threaded
 from fmuid.codec import Layout
 from fmuid.errors import InputError
 from fmuid.estimation import LeastSquares, Result, check_level, misfits, refuse_loss, spans_decades, variances
-from fmuid.identification.conditional_optimum import delayed
+from fmuid.identification.acquisition_delay import delayed
 
 
 @dataclass(frozen=True)

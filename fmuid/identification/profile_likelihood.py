@@ -23,7 +23,8 @@ from fmuid.codec import Layout
 from fmuid.errors import InputError
 from fmuid.estimation import ActiveBound, CostFunction, LeastSquares, Result, TerminationReason, check_level
 from fmuid.events import ProfileStep, Progress
-from fmuid.identification.conditional_optimum import ConditionalOptimum, best_near, best_with, delayed
+from fmuid.identification.acquisition_delay import delayed
+from fmuid.identification.conditional_optimum import ConditionalOptimum, best_near, best_with
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from fmuid.blas import single_threaded
 from fmuid.errors import InputError, SimulationError
 from fmuid.estimation import Evaluator, GlobalSearch, LeastSquares, Result, TerminationReason
 from fmuid.events import Progress, SamplingStep
-from fmuid.identification.conditional_optimum import delayed
+from fmuid.identification.acquisition_delay import delayed
 from fmuid.identification.likelihood_scaling import adjustment
 from fmuid.identification.posterior import Posterior, SamplerSettings
 from fmuid.identification.profile_likelihood import reach

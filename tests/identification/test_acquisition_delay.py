@@ -13,7 +13,7 @@ from fmuid.array_types import Flags, Floats
 from fmuid.estimation import Evaluator, Reason, Result, augmented
 from fmuid.identification import SamplerSettings, judge
 from fmuid.identification.acquisition_delay import DELAY_PRIOR, delay_columns, secants, with_delay
-from tests.identification.test_model_errors import COUNT, L, R, closed, held_voltage, problem_of
+from tests.support.held_coil import COUNT, L, R, closed, held_voltage, problem_of
 
 SHORT = 200
 
@@ -59,15 +59,15 @@ def test_estimates_are_those_with_the_delay_as_parameters() -> None:
     problem = record(1, 0.25)
     result, alone = fmuid.identify(problem), fmuid.identify(record(1, 0.25, delay_std=0.0))
     _, searched = with_delay(problem, result)
-    assert result.values == pytest.approx(searched.values[:2], abs=0.1 * result.std.min())
-    assert result.std == pytest.approx(searched.std[:2], rel=0.03)
+    assert (np.abs(result.values - searched.values[:2]) < 0.05 * result.std).all()
+    assert result.std == pytest.approx(searched.std[:2], rel=0.05)
     local, columns = alone.fit.linearization, delay_columns(problem, alone)
     assert local is not None
     design = np.hstack([-local.jacobian, columns])
     normal = design.T @ design + np.diag([0.0, 0.0, *(1.0 / DELAY_PRIOR**2)])
     step = np.linalg.solve(normal, design.T @ local.residual)
     assert augmented(local, columns, DELAY_PRIOR).step == pytest.approx(step, rel=1e-6)
-    assert result.values - alone.values == pytest.approx(step[:2], abs=0.05 * result.std.min())
+    assert (np.abs(result.values - alone.values - step[:2]) < 0.05 * result.std).all()
 
 
 def test_profiles_and_samples_include_the_delay() -> None:

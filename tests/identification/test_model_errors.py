@@ -7,7 +7,6 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
@@ -21,10 +20,7 @@ from fmuid.identification import Assessment, ErrorKind, ModelErrors, Problem, as
 from fmuid.identification.data_defects import DefectKind, converter_step, find_data_defects
 from fmuid.identification.directed_tests import largest_scores, probability_of
 from fmuid.identification.linearized_record import LinearizedRecord, exponentials
-from tests.support.paths import FMUS
-
-COIL, R, L, STEP, COUNT = FMUS / "Coil" / "Coil.fmu", 4.0, 0.1, 0.002, 1000
-TIMES = STEP * np.arange(COUNT)
+from tests.support.held_coil import COIL, COUNT, STEP, TIMES, L, R, closed, held_voltage, problem_of
 
 
 @cache
@@ -34,10 +30,6 @@ def _largest(voltages: bytes) -> float:
 
 def _top(u: Floats) -> float:
     return _largest(u.tobytes())
-
-
-def held_voltage(rng: np.random.Generator) -> Floats:
-    return 12.0 * np.repeat(rng.choice([-1.0, 0.0, 1.0], COUNT // 15 + 2), 15)[:COUNT]
 
 
 def integrated(u: Floats, rate: Callable[[float, float, float], float], *, start: float = 0.0) -> Floats:
@@ -52,23 +44,6 @@ def integrated(u: Floats, rate: Callable[[float, float, float], float], *, start
 
 def _rate(rate: Callable[[float, float, float], float], voltage: float) -> Callable[[float, Floats], Sequence[float]]:
     return lambda t, x: [rate(t, float(x[0]), voltage)]
-
-
-def closed(u: Floats, delay: float = 0.0) -> Floats:
-    """Return the current (K,) of the held voltage, read `delay` samples late."""
-    decay, found = np.exp(-R / L * STEP), np.zeros(len(u))
-    for k in range(len(u) - 1):
-        found[k + 1] = decay * found[k] + (1.0 - decay) / R * u[k]
-    part = np.exp(-R / L * STEP * (1.0 - delay))
-    late = np.concatenate([[0.0], part * found[:-1] + (1.0 - part) / R * u[:-1]])
-    return late if delay else found
-
-
-def problem_of(u: Floats, i: Floats, interpolation: str = "zoh", delay_std: float = 0.0) -> Problem:
-    frame = pd.DataFrame({"time": TIMES, "u": u, "i": i})
-    experiment = fmuid.Experiment(frame, ["u"], ["i"], interpolation=interpolation)
-    parameters = {"R": fmuid.Parameter(3.0, min=0.0), "L": fmuid.Parameter(0.03, min=1e-4)}
-    return fmuid.Problem(COIL, experiment, parameters, noise=fmuid.Noise(delay_std=delay_std))
 
 
 @cache
