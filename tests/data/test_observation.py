@@ -132,7 +132,7 @@ def test_a_delay_reads_the_current_before() -> None:
         (lambda: replace(STAR, voltages={"uds": ("ia", "ub", "uc"), "uqs": ("ia", "ub", "uc")}), "'ia' has two roles"),
         (lambda: replace(STAR, currents={"ids": ("ia", "ia"), "iqs": ("ia", "ia")}), "'ia' has two roles"),
         (lambda: replace(STAR, phases="delta"), "sensors of three lines"),
-        (lambda: replace(STAR, phases="star"), "unknown value 'star'"),
+        (lambda: replace(STAR, phases="star"), "unknown value 'star'"),  # type: ignore[arg-type]
         (lambda: replace(STAR, isolated=False), "no zero-sequence"),
         (lambda: replace(STAR, sensors={"ix": Sensor()}), "unknown column 'ix'"),
         (lambda: replace(STAR, voltages={"uds": ("ua", "ub"), "uqs": ("ua", "ub")}), "three columns"),

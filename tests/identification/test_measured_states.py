@@ -13,7 +13,7 @@ from experiments.starts.study import problem
 from fmuid.array_types import Floats
 from fmuid.estimation import SearchFailure, StartingPointSource
 from fmuid.identification.equation_error_start import equation_start, states_from_outputs
-from fmuid.simulation import RightHandSide
+from fmuid.simulation import RightHandSide, Simulator
 from tests.support.exported import export_text
 from tests.support.paths import FMUS
 
@@ -49,7 +49,9 @@ def test_the_fluxes_of_a_machine_follow_from_its_currents() -> None:
     given = dict(zip((*machine.parameters, *machine.states), (*truth, *first), strict=True))
     parameters = {name: fmuid.Parameter(float(value), nominal=1.0) for name, value in given.items()}
     whole = fmuid.Problem(FMUS / "InductionMachine" / "InductionMachine.fmu", experiment, parameters)
-    side = RightHandSide.of(whole.simulators[0])
+    (simulator,) = whole.simulators
+    assert isinstance(simulator, Simulator)
+    side = RightHandSide.of(simulator)
     assert side is not None
     theta = whole.parameters.start
     known, slopes = states_from_outputs(side, theta, times, states[:, :2])
@@ -85,7 +87,9 @@ def cubic_problem(cubic: Path, a: float, b: float) -> tuple[fmuid.Problem, Float
 
 def test_unmeasured_states_with_a_law_that_is_not_linear(cubic: Path) -> None:
     whole, states = cubic_problem(cubic, 2.0, 3.0)
-    side = RightHandSide.of(whole.simulators[0])
+    (simulator,) = whole.simulators
+    assert isinstance(simulator, Simulator)
+    side = RightHandSide.of(simulator)
     assert side is not None
     (experiment,) = whole.experiments
     known, slopes = states_from_outputs(side, whole.parameters.start, experiment.times, experiment.output_values)

@@ -20,6 +20,7 @@ from fmuid.identification import Assessment, ErrorKind, ModelErrors, Problem, as
 from fmuid.identification.data_defects import DefectKind, converter_step, find_data_defects
 from fmuid.identification.directed_tests import largest_scores, probability_of
 from fmuid.identification.linearized_record import LinearizedRecord, exponentials
+from fmuid.simulation import Simulator
 from tests.support.held_coil import COIL, COUNT, STEP, TIMES, L, R, closed, held_voltage, problem_of
 
 
@@ -140,7 +141,9 @@ def test_linearized_sensitivities_are_those_of_simulations() -> None:
     result = fmuid.identify(machine)
     local = result.fit.linearization
     assert local is not None
-    record = LinearizedRecord.of(machine.as_in(result).simulators[0], result.values)
+    (simulator,) = machine.as_in(result).simulators
+    assert isinstance(simulator, Simulator)
+    record = LinearizedRecord.of(simulator, result.values)
     assert record is not None
     std = np.sqrt([result.fit.variance[name] for name in machine.output_names])
     for own, column in zip(record.sensitivities / std, -local.jacobian.T, strict=True):

@@ -66,7 +66,7 @@ def test_sensors_cost_no_simulation() -> None:
         calls.append(len(given))
         return observed.simulate(given, inputs)
 
-    replace(observed, simulate=counted).readings(thetas, own.own)
+    replace(observed, simulate=counted).readings(thetas, own.own)  # type: ignore[arg-type]
     assert calls == [1]
 
 

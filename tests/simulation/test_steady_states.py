@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -42,10 +43,10 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
 
 
 def steady(
-    fmu: Path, columns: dict[str, object], parameters: list[str], outputs: list[str], **more: object
+    fmu: Path, columns: Mapping[str, object], parameters: list[str], outputs: list[str], **more: Any
 ) -> AnySimulator:
     inputs = [name for name in columns if name not in outputs]
-    frame = pd.DataFrame(columns | {name: 1.0 for name in outputs if name not in columns})
+    frame = pd.DataFrame(dict(columns) | {name: 1.0 for name in outputs if name not in columns})
     return simulator_of(System.of(fmu), SteadyExperiment(frame, inputs, outputs, **more), parameters)
 
 

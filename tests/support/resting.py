@@ -54,7 +54,7 @@ def saturated_motor(theta: np.ndarray, points: np.ndarray) -> np.ndarray:
     r, k, c, b = theta
 
     def current(psi: float) -> float:
-        return psi / 0.02 + c * psi**3
+        return float(psi / 0.02 + c * psi**3)
 
     found = []
     for u, load in points:

@@ -30,25 +30,30 @@ def to_axes(phases: Floats, angle: ArrayLike) -> Floats:
     """Return x_dq (..., 2) of phases (..., 3) at an electrical angle."""
     turned = np.asarray(angle)[..., None] + SHIFTS
     d, q = (phases * np.cos(turned)).sum(-1), -(phases * np.sin(turned)).sum(-1)
-    return PARK * np.stack([d, q], axis=-1)
+    return np.asarray(PARK * np.stack([d, q], axis=-1))
 
 
 def to_phases(axes: Floats, angle: ArrayLike) -> Floats:
     """Return phases (..., 3) of x_dq (..., 2)."""
     turned = np.asarray(angle)[..., None] + SHIFTS
-    return PARK * (axes[..., :1] * np.cos(turned) - axes[..., 1:] * np.sin(turned))
+    return np.asarray(PARK * (axes[..., :1] * np.cos(turned) - axes[..., 1:] * np.sin(turned)))
 
 
 def excitation(count: int, seed: int = 0) -> tuple[Floats, Floats, Floats, Floats]:
     """Return times, speed, angle and voltages of the axes (K, 2)."""
     rng = np.random.default_rng([11, seed])
-    times = STEP * np.arange(count)
+    times: Floats = STEP * np.arange(count, dtype=np.float64)
     first, slip = rng.uniform(100.0, 150.0), rng.uniform(1.5, 3.0)
     speed = first + 8.0 * np.sin(2.0 * np.pi * 1.3 * times + rng.uniform(0.0, 6.0))
     angle = rng.uniform(0.0, 6.0) + np.concatenate([[0.0], np.cumsum(STEP * (speed[1:] + speed[:-1]) / 2.0)])
     size, turn = 0.9 * (first + 2.0 * np.pi * slip), 2.0 * np.pi * slip * times + rng.uniform(0.0, 6.0)
     steps = np.repeat(rng.integers(0, 2, (count // 25 + 1, 2)) * 2.0 - 1.0, 25, axis=0)[:count]
-    return times, speed, angle, size * (np.stack([np.cos(turn), np.sin(turn)], axis=-1) + 0.25 * steps)
+    return (
+        times,
+        np.asarray(speed),
+        np.asarray(angle),
+        np.asarray(size) * (np.stack([np.cos(turn), np.sin(turn)], axis=-1) + 0.25 * steps),
+    )
 
 
 def currents(
