@@ -27,7 +27,7 @@ def noise(kind: str, rng: np.random.Generator, count: int) -> np.ndarray:
         "hum": lambda: np.cos(2 * math.pi * 50 * STEP * np.arange(count) + rng.uniform(0, 2 * math.pi)),
     }
     if kind == "hum":
-        return 0.7 * parts["white"]() + parts["hum"]()
+        return np.asarray(0.7 * parts["white"]() + parts["hum"]())
     if kind == "mixture":
         return 0.5 * parts["AR 0.6"]() + 0.5 * parts["t3"]() + 0.7 * parts["hum"]()
     return parts[kind]()
@@ -87,9 +87,11 @@ def test_an_alarm_begins_and_ends_with_the_fault(kind: str, draws: int, least: i
         first, last = int(rng.uniform(0.25, 0.4) * SAMPLES), int(rng.uniform(0.6, 0.8) * SAMPLES)
         there = np.arange(SAMPLES)
         found.add(record(rng, kind, SAMPLES, 0.7 * ((there >= first) & (there < last))))
-        if len(found.alarms) != 1 or found.alarms[0].onset is None or found.alarms[0].ended is None:
+        if len(found.alarms) != 1:
             continue
         (alarm,) = found.alarms
+        if alarm.onset is None or alarm.ended is None:
+            continue
         named += "turns" in alarm.fault
         begun += abs(alarm.onset.likely.time - STEP * first) < 2 * WINDOW
         late = found.table["end"][alarm.last] - STEP * last

@@ -24,7 +24,7 @@ def noise_of(residual: np.ndarray, measured: np.ndarray | None = None) -> Output
 
 
 def hum(amplitude: float, frequency: float = 50.3) -> np.ndarray:
-    return amplitude * np.cos(2 * math.pi * frequency * TIME + 1.0)
+    return np.asarray(amplitude * np.cos(2 * math.pi * frequency * TIME + 1.0))
 
 
 def test_a_line_is_found_at_its_frequency() -> None:
@@ -64,7 +64,7 @@ def test_heavy_tails_are_limited(share: float) -> None:
         values = lfilter([1.0], [1.0, -share], stats.t.rvs(3, size=size + 300, random_state=rng))[300:]
         white = found.whiten(series, np.column_stack([values, np.ones(size)]))
         scores.append(white[:, 1] @ white[:, 0])
-        information = white[:, 1] @ white[:, 1]
+        information = float(white[:, 1] @ white[:, 1])
     assert np.var(scores) == pytest.approx(information, rel=0.35)
     normal = size * (1.0 - share) ** 2 / 3.0  # information of least squares: variance of t3 is 3
     assert information > 1.3 * normal
