@@ -100,7 +100,7 @@ def observed_table(
         if given.voltages:
             lines = np.column_stack([columns.values(name, "V", "input") for name in given.voltage_columns])
             made = replace(made, voltages=lines)
-            axes = [axis_column(name, given) for name in given.voltages]
+            axes = axis_columns(given)
             units |= dict.fromkeys(axes, "V")
             added |= dict(zip(axes, made.axes(made.lines(np.array(given.values))).T, strict=True))
             inputs |= dict(zip(given.voltages, axes, strict=True))
@@ -114,15 +114,15 @@ def observed_table(
     return ObservedTable(found, inputs, outputs, made)
 
 
-def axis_column(variable: str, given: Observation) -> str:
-    """Return the name of a voltage's column in rotating axes."""
-    return f"{variable} of {', '.join(given.voltage_columns)}"
+def axis_columns(given: Observation) -> list[str]:
+    """Return the names of the columns of both axes' voltages."""
+    return [f"{axis} of {', '.join(given.voltage_columns)}" for axis in "dq"]
 
 
 def _refuse_both(source: str, given: Observation, inputs: Mapping[str, str], outputs: Mapping[str, str]) -> None:
     """Refuse variables of the map with another column."""
-    own = {name: inputs[name] for name in given.voltages if name in inputs}
-    taken = [name for name, column in own.items() if not column.startswith(axis_column(name, given))]
+    pairs = zip(given.voltages, axis_columns(given), strict=False)
+    taken = [name for name, column in pairs if inputs.get(name, column) != column]
     for name in [*taken, *(each for each in given.currents if each in outputs)]:
         raise InputError(f"{source}: {name!r} has a column and comes from the phases, too. Remove one.")
 

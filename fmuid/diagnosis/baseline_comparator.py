@@ -49,12 +49,12 @@ class BaselineComparator:
         _check(first, [*baseline.records[1:], *experiments], baseline)
         for name, fault in faults.items():
             try:
-                fault.check_beside(baseline.common, [*first.input_names, *first.output_names])
+                fault.check_beside(baseline.common, [*first.input_names, *first.of_model.output_names])
             except InputError as error:
                 raise InputError(f"fault {name!r}: {error}") from None
         variance = baseline.variance(first.output_names)
         scale = {name: math.sqrt(value) for name, value in variance.items()}
-        alone = Causes(None, None, None, None, None)
+        alone = Causes(None, None, None, None, None, None, None)
         coordinates = coordinates_of(system, baseline.common, faults, first, scale, causes or alone)
         known, drift = _of_result(baseline, coordinates)
         noise = Whitening({name: baseline.noise(name, value) for name, value in variance.items()})

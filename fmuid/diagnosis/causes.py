@@ -16,7 +16,7 @@ import numpy as np
 from annotated_types import Gt
 
 from fmuid.array_types import Flags, Floats
-from fmuid.data import Experiment, Parameter
+from fmuid.data import LINES, Experiment, Parameter
 from fmuid.diagnosis.faults import Fault
 from fmuid.errors import InputError
 from fmuid.models import System
@@ -56,6 +56,8 @@ class CauseKind(Enum):
     OFFSET = "offset"
     DELAY = "delay"
     INPUT_GAIN = "input gain"
+    JOINT = "joint"  # resistance in series with a line, from the simulated current
+    DEAD_TIME = "dead time"  # voltage against the sign of each line current
 
     @property
     def is_share(self) -> bool:
@@ -64,6 +66,7 @@ class CauseKind(Enum):
 
 
 SENSOR_KINDS = (CauseKind.GAIN, CauseKind.OFFSET, CauseKind.DELAY)
+LINE_KINDS = (CauseKind.JOINT, CauseKind.DEAD_TIME)
 
 
 @dataclass(frozen=True)
@@ -98,15 +101,21 @@ class Causes:
     sensor_delay: CauseScale | None = field(default_factory=lambda: CauseScale(0.2, 0.2))
     """of each sensor, in sampling intervals"""
     input_gain: CauseScale | None = field(default_factory=lambda: CauseScale(0.02, 0.02))
-    """of each input, as a fraction"""
+    """of each input or line voltage, as a fraction"""
     parameter_drift: CauseScale | None = field(default_factory=lambda: CauseScale(1.0, 0.1))
     """of each parameter beyond std_factor, as a fraction; healthy_std is not used"""
+    joint: CauseScale | None = field(default_factory=lambda: CauseScale(0.002, 0.02))
+    """of each line's resistance, as a fraction of line voltage over current; with an observation"""
+    dead_time: CauseScale | None = field(default_factory=lambda: CauseScale(0.02, 0.01))
+    """of an inverter, as a fraction of the line voltage; with an observation"""
 
 
 def name_of(kind: CauseKind, variable: str, fault: str) -> str:
     """Return the name of a cause: ``stator.eta_a``, ``gain(ids)``, ``Rs``."""
     if kind is CauseKind.FAULT:
         return f"{fault}.{variable}"
+    if kind is CauseKind.DEAD_TIME:
+        return "dead time"
     return variable if kind is CauseKind.PARAMETER else f"{kind.value}({variable})"
 
 
@@ -126,6 +135,12 @@ class ChangeParameter:
     def name(self) -> str:
         """Name of its cause."""
         return name_of(self.kind, self.variable, self.fault)
+
+    @property
+    def quantity(self) -> str:
+        """Quantity of the observation behind an error of a line."""
+        kinds = {CauseKind.INPUT_GAIN: "gain", CauseKind.JOINT: "phase_resistance"}
+        return "dead_time_voltage" if self.kind is CauseKind.DEAD_TIME else f"{kinds[self.kind]}({self.variable})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,6 +197,8 @@ def coordinates_of(
 
     def add(of: ChangeParameter, size: float | None, *, start: float = 0.0, sign: int = 0, plane: bool = False) -> None:
         """Add one or two coordinates, and their cause if any."""
+        if of.kind in (CauseKind.INPUT_GAIN, *LINE_KINDS) and of.quantity in nominal:
+            return  # a parameter of the machine
         new = [of, replace(of, second=True)] if plane else [of]
         if size is not None:
             columns = tuple(range(len(each), len(each) + len(new)))
@@ -215,9 +232,27 @@ def coordinates_of(
             if width is not None:
                 of = ChangeParameter(kind, output, its_unit, math.nan, width.healthy_std * scale)
                 add(of, width.change_std * scale)
-    gain = causes.input_gain
-    for name, values in zip(experiment.input_names, experiment.input_values.T, strict=True):
-        if gain is not None and values.any():
-            of = ChangeParameter(CauseKind.INPUT_GAIN, name, "", SETTINGS.difference_step, gain.healthy_std)
-            add(of, gain.change_std)
+    made = experiment.sensor_map
+    driven = dict(zip(experiment.input_names, experiment.input_values.T, strict=True))
+    if made is not None:
+        driven = {name: values for name, values in driven.items() if name not in made.given.voltages}
+        driven |= dict(zip(made.given.voltage_columns, made.voltages.T, strict=False))
+    if causes.input_gain is not None:
+        for name in (name for name, values in driven.items() if values.any()):
+            width = causes.input_gain
+            of = ChangeParameter(CauseKind.INPUT_GAIN, name, "", SETTINGS.difference_step, width.healthy_std)
+            add(of, width.change_std)
+    if made is not None and made.given.voltages:
+        voltage = float(np.sqrt(np.mean(made.voltages**2)))
+        sensors = list(made.given.current_sensors)
+        read = experiment.output_values[:, [experiment.output_names.index(name) for name in sensors]]
+        impedance = voltage / max(float(np.sqrt(np.nanmean(read**2))), 1e-300)
+        for kind, lines, scale, unit, given in (
+            (CauseKind.JOINT, LINES, impedance, "Ohm", causes.joint),
+            (CauseKind.DEAD_TIME, ("",), voltage, "V", causes.dead_time),
+        ):
+            for name in lines if given is not None else ():
+                assert given is not None, "asked before"
+                step = SETTINGS.difference_step * scale
+                add(ChangeParameter(kind, name, unit, step, given.healthy_std * scale), given.change_std * scale)
     return ChangeParameterSet(tuple(each), tuple(found), np.array(healthy), faults)

@@ -173,9 +173,10 @@ class Fault:
 
     def renamed(self, experiment: Experiment) -> Experiment:
         """Return an experiment with this model's names of inputs and outputs."""
-        if not self.inputs and not set(self.variable_map) & {*experiment.input_names, *experiment.output_names}:
+        observation, words = experiment.observation, experiment.interpolation
+        axes = () if observation is None else (*observation.currents, *observation.voltages)
+        if not self.inputs and not set(self.variable_map) & {*experiment.input_names, *experiment.output_names, *axes}:
             return experiment
-        words = experiment.interpolation
         return replace(
             experiment,
             inputs=self.own_names({name: experiment.columns[name] for name in experiment.input_names})
@@ -183,6 +184,7 @@ class Fault:
             outputs=self.own_names({name: experiment.columns[name] for name in experiment.output_names}),
             interpolation=self.own_names(words) if isinstance(words, Mapping) else words,
             units=self.own_names(experiment.units),
+            observation=None if observation is None else observation.renamed(self.variable_map),
         )
 
 

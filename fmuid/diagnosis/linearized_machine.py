@@ -14,7 +14,7 @@ import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.data import Experiment
-from fmuid.diagnosis.causes import SENSOR_KINDS, CauseKind, ChangeParameterSet
+from fmuid.diagnosis.causes import LINE_KINDS, SENSOR_KINDS, CauseKind, ChangeParameterSet
 from fmuid.estimation import parabola_slope
 from fmuid.models import System
 from fmuid.simulation import AS_ASKED, Refinement, Simulator, refined
@@ -67,7 +67,7 @@ class LinearizedMachine:
         for model in self._models:
             # y_n is taken off once a fault; a fault that is zero gives its own columns alone
             weight = 0.0 if not model.there(point) else 1.0 if model.fault is not None else 2.0 - there
-            wanted = ([*model.shared, *model.gains] if weight else []) + model.own if slopes else []
+            wanted = ([*model.shared, *model.gains, *model.lines] if weight else []) + model.own if slopes else []
             if not (weight or wanted):
                 continue
             own, derivatives = model.linearize(point, wanted)
@@ -109,10 +109,17 @@ class _Model:
         self.coordinates, self.experiment = coordinates, experiment
         self.shared = coordinates.of(CauseKind.PARAMETER)
         self.own = coordinates.of(CauseKind.FAULT, fault=name)
-        self.gains = coordinates.of(CauseKind.INPUT_GAIN)
+        lines = () if experiment.observation is None else experiment.observation.voltage_columns
+        gains = coordinates.of(CauseKind.INPUT_GAIN)
+        self.gains = [i for i in gains if coordinates.each[i].variable not in lines]
+        self.lines = [i for i in gains if i not in self.gains]
+        self.lines += [i for kind in LINE_KINDS for i in coordinates.of(kind)]
         names, own = ({}, ()) if self.fault is None else (self.fault.variable_map, self.fault.parameters)
         nominal = [coordinates.each[i].variable for i in self.shared]
         self.parameters = [*(names.get(each, each) for each in nominal), *own]
+        self.parameters += [coordinates.each[i].quantity for i in self.lines]
+        given = experiment.observation
+        self.base = {} if given is None else dict(zip(given.names, given.values, strict=True))
         self._simulators: dict[tuple[float, ...], Simulator] = {}
         self._like: Simulator | None = None
 
@@ -174,14 +181,22 @@ class _Model:
     def _theta(self, point: Floats) -> list[float]:
         """Return the model's parameters at a point; a vector of the plane becomes a size with its angle."""
         theta: list[float] = point[self.shared].tolist()
+        lines = [self._of_line(i, float(point[i])) for i in self.lines]
         if self.fault is None:
-            return theta
+            return theta + lines
         own: dict[str, list[float]] = {}
         for i in self.own:
             own.setdefault(self.coordinates.each[i].variable, []).append(float(point[i]))
         values = {name: math.hypot(*each) if len(each) > 1 else each[0] for name, each in own.items()}
         values |= dict(self.fault.direction(size, own[size])[:2] for size in self.fault.located)
-        return theta + [values[name] for name in self.fault.parameters]
+        return theta + [values[name] for name in self.fault.parameters] + lines
+
+    def _of_line(self, i: int, size: float) -> float:
+        """Return the quantity of the observation for a coordinate's size."""
+        each = self.coordinates.each[i]
+        base = self.base[each.quantity]
+        # a line with more voltage than read has a sensor that reads less
+        return base / (1.0 + size) if each.kind is CauseKind.INPUT_GAIN else base + size
 
 
 def residual_of(experiment: Experiment, outputs: Floats) -> Floats:

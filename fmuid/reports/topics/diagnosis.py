@@ -131,6 +131,8 @@ CHANGES = {
     "offset": "offset of sensor {}",
     "delay": "delay of sensor {}",
     "input gain": "gain of input {}",
+    "joint": "joint in line {}",
+    "dead time": "dead time of the inverter{}",
     "parameter": "drift of parameter {}",
 }
 
