@@ -11,11 +11,9 @@ from fmuid.array_types import Floats
 from fmuid.data import Normal, Parameter
 from fmuid.data.noise import Noise
 from fmuid.errors import InputError
-from fmuid.estimation import global_search
 from fmuid.estimation.cost_components import misfits
 from fmuid.estimation.evaluator import Evaluator
-from fmuid.estimation.global_search import ExplorationSettings, GlobalSearch, Strategy, optima_table
-from fmuid.estimation.local_search import Marquardt
+from fmuid.estimation.global_search import GlobalSearch, Strategy, optima_table
 from fmuid.estimation.problem import LeastSquares
 from fmuid.estimation.result import Result
 from fmuid.estimation.search.state import TerminationReason
@@ -156,19 +154,6 @@ def test_concentrated_cost_is_the_least_over_the_variance() -> None:
 # --- seeds, failures, interruption, settings --------------------------------------------
 
 
-@pytest.mark.slow
-def test_best_fit_is_finished(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fits get few iterations, but what they leave of the best one's way is gone after them."""
-    monkeypatch.setattr(global_search, "SETTINGS", ExplorationSettings(fit_iterations=1))
-    found = searched(sinusoid(), GlobalSearch("multi-start"))
-    assert found.converged
-    assert not all(o.converged for o in found.history.optima)
-    minima, squares = dense_minima()
-    assert found["w"] == pytest.approx(minima[np.argmin(squares)], abs=2e-3)
-    limited = searched(sinusoid(), GlobalSearch("multi-start", marquardt=Marquardt(max_iterations=1)))
-    assert not limited.converged
-
-
 @pytest.mark.parametrize(
     ("settings", "match"),
     [
@@ -200,19 +185,6 @@ def fragile(limit: float) -> LeastSquares:
         return np.asarray(np.sin(theta[0] * TIMES))
 
     return LeastSquares.from_function(simulate, sinusoid().measured, {"w": Parameter(5.0, min=RANGE[0], max=RANGE[1])})
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("method", METHODS)
-def test_failing_simulations_are_passed_over(method: Strategy) -> None:
-    events: list[Event] = []
-    found = searched(fragile(30.0), GlobalSearch(method, starts=30), events.append)
-    steps = of_search(events)
-    assert np.isfinite([step.cost for step in steps]).all()
-    minima, squares = dense_minima()
-    assert found["w"] == pytest.approx(minima[np.argmin(squares)], abs=2e-3)
-    if method == "multi-start":
-        assert found.history.fits == 30, "starts that fail are replaced"
 
 
 @pytest.mark.parametrize("method", METHODS)

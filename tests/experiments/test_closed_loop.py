@@ -35,24 +35,6 @@ def test_sensitivities_are_those_of_the_model() -> None:
         np.testing.assert_allclose(found[:, k], difference[:, 0], rtol=0, atol=1e-6 * np.abs(difference).max())
 
 
-@pytest.mark.slow
-def test_the_expectations_are_those_of_the_draws() -> None:
-    """E[Σ σ b] and E[Σ σ σᵀ], by simulated loops whose voltage is linear in the noise."""
-    clean = study.simulate(np.zeros(study.SAMPLES))["u"].to_numpy()
-    rng = np.random.default_rng(6)
-    count = 200
-    passed, gram = np.empty((count, 2)), np.empty((count, 2, 2))
-    for k in range(count):
-        b = study.noise(rng, study.COLOR)
-        share = study.sensitivities(study.simulate(b)["u"].to_numpy() - clean)
-        passed[k], gram[k] = b @ share, share.T @ share
-    for drawn, expected in zip((passed, gram), study.moments(study.COLOR), strict=True):
-        error = drawn.std(axis=0) / np.sqrt(count)
-        assert (np.abs(expected) > 8 * error).all()
-        assert (np.abs(drawn.mean(axis=0) - expected) < 4 * error).all()
-    assert study.moments(0.0)[0] == pytest.approx([0.0, 0.0], abs=1e-12)
-
-
 def test_only_colored_noise_in_closed_loop_makes_a_bias(committed: pd.DataFrame) -> None:
     """At a ratio of 3; other noise is off by chance, and by its squared std (section 4 is of first order)."""
     weak = committed[committed["ratio"] == 3.0]

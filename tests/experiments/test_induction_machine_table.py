@@ -1,7 +1,6 @@
 """The script that makes the induction machine's table: its machine, its shaft, its straight lines, and the table."""
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 import pytest
 from scipy.interpolate import CubicSpline
@@ -9,17 +8,8 @@ from scipy.interpolate import CubicSpline
 from experiments.induction_machine import chapter, make_table
 from fmuid.data.signals import T23
 
-Array = npt.NDArray[np.floating]
-
 TABLE = chapter.HERE / "table.csv"
 SAMPLES = 190  # 0.13 s: the start, and the first change of the reference
-TRUTH = make_table.TRUTH
-
-PHASES = 2 * np.pi / 3 * np.arange(3)
-OWN = TRUTH["Lm"] * (np.eye(3) - 1 / 3)
-"""Magnetising inductances of stator or rotor, H: L_p = 2/3 L_m on the diagonal, -L_p/2 off it."""
-FREE = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, -1.0]])
-"""Rotor currents from the first two: the rotor has no zero sequence, along which its inductances are singular."""
 
 
 @pytest.fixture(scope="module")
@@ -30,49 +20,6 @@ def steps() -> pd.DataFrame:
     count = SAMPLES * make_table.SUBSTEPS
     reference = np.repeat(make_table.speed_reference(SAMPLES), make_table.SUBSTEPS)
     return make_table.record(make_table.SAMPLE_TIME / make_table.SUBSTEPS * np.arange(count), reference, columns)
-
-
-def currents_and_torque(state: Array) -> tuple[Array, float]:
-    """Return the currents (three of the stator, the first two of the rotor), A, and the torque, N m.
-
-    The fluxes of (1.58) are solved for the currents; the torque is the derivative of the co-energy by the angle.
-    """
-    angles = state[5] + PHASES[np.newaxis, :] - PHASES[:, np.newaxis]
-    mutual = TRUTH["Lm"] * 2 / 3 * np.cos(angles)
-    inductances = np.empty((5, 5))
-    inductances[:3, :3] = OWN + TRUTH["Lf"] * np.eye(3)
-    inductances[:3, 3:] = mutual @ FREE
-    inductances[3:, :3] = mutual.T[:2]
-    inductances[3:, 3:] = (OWN @ FREE)[:2]
-    currents = np.linalg.solve(inductances, state[:5])
-    turned = -TRUTH["Lm"] * 2 / 3 * np.sin(angles)
-    return currents, float(make_table.POLE_PAIRS * currents[:3] @ turned @ FREE @ currents[3:])
-
-
-def slope(state: Array, voltages: Array, speed: float) -> Array:
-    """Return the time derivative of three stator fluxes, the first two rotor fluxes (Wb) and the electrical angle."""
-    currents, _ = currents_and_torque(state)
-    return np.array([*(voltages - TRUTH["Rs"] * currents[:3]), *(-TRUTH["Rr"] * currents[3:]), speed])
-
-
-@pytest.mark.slow
-def test_the_machine_is_that_of_the_chapter(steps: pd.DataFrame) -> None:
-    """(1.58) with its matrices, by Runge-Kutta 4 under the same held voltages and speed: 1e-8 A is its own error."""
-    h = float(steps["time"].iloc[1])
-    state: Array = np.zeros(6)
-    found = []
-    for voltages, speed in zip(steps[["ua", "ub", "uc"]].to_numpy(), steps["w"].to_list(), strict=True):
-        currents, torque = currents_and_torque(state)
-        found.append([*currents[:3], state[5], torque])
-        first = slope(state, voltages, speed)
-        second = slope(state + h / 2 * first, voltages, speed)
-        third = slope(state + h / 2 * second, voltages, speed)
-        fourth = slope(state + h * third, voltages, speed)
-        state = state + h / 6 * (first + 2 * second + 2 * third + fourth)
-    expected = np.array(found)
-    assert np.abs(expected[:, :3]).max() > 4.0  # the machine is excited here
-    assert np.abs(expected[:, 4]).max() > 4.0
-    np.testing.assert_allclose(steps[["ia", "ib", "ic", "theta", "torque"]], expected, rtol=0, atol=1e-7)
 
 
 def test_the_shaft_and_its_load(steps: pd.DataFrame) -> None:

@@ -173,16 +173,6 @@ def test_an_alias_is_no_optimum() -> None:
     assert (checked(result).refused, checked(result).switches) == (1, ())
 
 
-@pytest.mark.slow
-def test_a_box_that_holds_the_alias_alone() -> None:
-    """Model exchange leaves it for the bound behind which the truth is."""
-    start = "parameters.L.start=0.005"
-    study = fmuid.Study.read(EXPERIMENTS / "coil" / "healthy.toml", [*BOX, "parameters.L.max=0.01", start])
-    result = study.identify()
-    assert [bound.name for bound in result.estimates.at_bounds] == ["L"]
-    assert [switch.cause for switch in checked(result).switches] == [SwitchCause.SHIFT]
-
-
 def test_a_start_that_shorter_steps_alone_can_simulate(folder: Path) -> None:
     """A motor whose L/R is a third of a step, without model exchange; nothing can simulate the last start."""
     truth, friction, step = {"R": 1.0, "L": 1.0 / 3e3, "K": 0.05, "J": 1e-4}, 1e-5, 1e-3

@@ -13,7 +13,6 @@ import pytest
 
 import fmuid
 from experiments.starts.draws import DC_MOTOR, Record, draw
-from experiments.starts.study import searched
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
 from fmuid.estimation import RestartAttempt, SearchFailure, StartingPointSource
@@ -133,14 +132,6 @@ def test_a_guess_waits_for_the_others_and_is_gone_on_with(curved: Path, monkeypa
     *before, last = result.history.restarts
     assert {each.trouble for each in before if each.remedy is StartingPointSource.SOBOL} == {SearchFailure.UNFINISHED}
     assert (last.remedy, last.trouble, last.kept) == (StartingPointSource.SOBOL, SearchFailure.NONE, True)
-
-
-@pytest.mark.campaign
-def test_an_optimum_far_above_the_noise_is_not_believed_twice() -> None:
-    """From the equations and from the start this one goes to one place, with a friction four times too large."""
-    row = searched("pmsm", 1035, 0.0, 0.0, remedies=True)
-    assert row["found"]
-    assert row["way"] == "correction"
 
 
 def test_a_model_that_is_wrong_is_confirmed_by_a_second_start(curved: Path) -> None:

@@ -13,7 +13,6 @@ from scipy.linalg import expm
 import fmuid
 from fmuid.identification import with_observer
 from fmuid.identification.observer import observer_gain
-from fmuid.simulation import RightHandSide
 from tests.support.exported import export_text
 
 CART = """model Cart
@@ -65,20 +64,6 @@ def test_all_poles_are_where_they_are_asked_for() -> None:
         assert np.poly(error) == pytest.approx(np.poly(np.full(count, np.exp(-0.25))), abs=1e-9)
     with pytest.raises(fmuid.InputError, match=r"not all states .* observable"):
         observer_gain(np.diag([-1.0, -2.0]), np.array([1.0, 0.0]), 0.1, 3.0)
-
-
-@pytest.mark.slow
-def test_between_corrections_cvode_goes_on_with_its_history(cart: Path) -> None:
-    """A gain of zero moves nothing: what differs from a simulation without corrections are new beginnings."""
-    system = fmuid.System(cart, numerics=fmuid.Numerics(interface="model-exchange", integrator="cvode"))
-    given = fmuid.Experiment(record(0.0), ["u"], ["q"], interpolation="zoh")
-    side = RightHandSide.of(fmuid.Simulator(system, given, ["m", "d"]))
-    assert side is not None
-    theta = np.array([M, D])
-    plain = side.simulator(1e-5, 1000)(theta)
-    gain = np.zeros((2, 1))
-    assert (side.corrected(gain, 1e-5, 1000, every=len(TIMES))(theta) == plain).all()
-    assert (side.corrected(gain, 1e-5, 1000)(theta) != plain).any()
 
 
 def test_an_error_of_the_model_pulls_output_error_more(cart: Path) -> None:

@@ -146,17 +146,6 @@ def test_two_optima(prior: Normal | None) -> None:
         assert (found.samples > 0.0).all()
 
 
-@pytest.mark.slow
-def test_bounds_alone_hold_what_data_leave_open() -> None:
-    problem = sum_only(Parameter(1.0, min=0.0, max=2.0), Parameter(1.0, min=-100.0))
-    posterior, result = sampled(problem, effective_size=1000)
-    assert not np.isfinite(result.std).any()
-    assert posterior.converged
-    distance = stats.kstest(posterior.samples[:, 0], stats.uniform(0.0, 2.0).cdf).statistic
-    assert distance < stats.kstwo.ppf(0.9999, round(posterior.effective_size.min()))
-    assert posterior.samples.sum(axis=1).std() == pytest.approx(0.1, rel=0.1)
-
-
 def test_nothing_holds_what_data_leave_open() -> None:
     posterior, _ = sampled(sum_only(Parameter(1.0), Parameter(1.0)))
     assert (posterior.doubt, posterior.doubtful) == (SamplingWarning.RUNAWAY, "a")

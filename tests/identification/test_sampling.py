@@ -10,7 +10,7 @@ from scipy.integrate import quad
 from fmuid.data import Noise, Normal, Parameter
 from fmuid.errors import InputError
 from fmuid.estimation import Evaluator, LeastSquares
-from fmuid.identification import SamplerSettings, SamplingWarning, sample_posterior
+from fmuid.identification import SamplerSettings, sample_posterior
 from fmuid.identification.posterior import effective_size, r_hat
 from fmuid.identification.sampler import log_density
 from tests.support.posteriors import Array, linear, sampled
@@ -32,15 +32,6 @@ def test_a_single_parameter_that_fails_nearby() -> None:
     assert posterior.converged
     assert np.abs(posterior.samples - 1.0).max() <= 0.05
     assert np.isfinite(posterior.log_density).all()
-
-
-@pytest.mark.slow
-def test_too_few_steps_are_not_trusted() -> None:
-    problem, _ = linear()
-    posterior, _ = sampled(problem, max_steps=12)
-    assert not posterior.converged
-    few, _ = sampled(problem, max_steps=500, effective_size=1_000_000)
-    assert few.doubt is SamplingWarning.TOO_FEW
 
 
 def test_interrupted_inside_a_simulation(capsys: pytest.CaptureFixture[str]) -> None:

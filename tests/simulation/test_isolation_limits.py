@@ -16,7 +16,7 @@ from fmuid import FmuidError, InputError, Isolation, Simulator
 from fmuid.processes import HostExitError, ProcessEnd, ProcessStatus
 from fmuid.processes.limits import COMPUTED_SHARE, Footprint, condition_of, wants_processor
 from fmuid.simulation import TIME_LIMITS, codes, executor_of
-from fmuid.simulation.isolation.host import HostWatchdog, TimeLimits, end_words
+from fmuid.simulation.isolation.host import HostWatchdog, end_words
 from tests.support.experiments import record
 from tests.support.isolated import NAMES, PROCESSES, RECORD, expected, pair, thetas, wait_until
 from tests.support.misbehaving import Mode, misbehaving_fmu
@@ -34,16 +34,6 @@ def test_large_record_equals_in_process(folder: Path) -> None:
     alone, isolated = (Simulator(fmu, experiment, NAMES, isolation=each)([2.0, 0.5, 0.0]) for each in pair())
     assert np.array_equal(isolated, alone)
     assert np.ptp(alone) > 1
-
-
-@pytest.mark.slow
-def test_longest_record_has_the_time_of_a_first_one(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Short ones say little about it."""
-    monkeypatch.setattr("fmuid.simulation.isolation.host.TIME_LIMITS", TimeLimits(least=0.2, slower=1.0))
-    long = record(0.1 * np.arange(400), {"u": 1.0}, ["x"])
-    simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, values={"amount": 2.0}, isolation=Isolation())
-    simulator([2.0, 0.5, 0.0])
-    assert simulator.over(long)([2.0, 0.5, Mode.SLOW])[-1] == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize("isolation", pair(), ids=["in-process", "isolated"])

@@ -169,17 +169,6 @@ def test_no_process_is_left_when_fmuid_ends(folder: Path, name: str, mode: Mode)
     assert ("KeyboardInterrupt" in said) == (name == "SIGINT")
 
 
-@pytest.mark.slow
-def test_script_needs_no_guard_and_warns_of_nothing(folder: Path, tmp_path: Path) -> None:
-    """From stdin, without ``if __name__ == "__main__"``, warnings as errors, threads running."""
-    thread = "threading.Thread(target=threading.Event().wait, daemon=True).start()\nsimulator = "
-    text = SCRIPT.replace("simulator = ", thread)
-    command = [sys.executable, "-W", "error", "-", str(misbehaving_fmu(folder)), "0"]
-    run = subprocess.run(command, capture_output=True, text=True, input=text, cwd=tmp_path, timeout=600, check=False)
-    assert (run.stderr, run.returncode) == ("", 0)
-    assert float(run.stdout) == pytest.approx(lag(TIMES, U, 2.0, 1.0)[-1], abs=1e-14)
-
-
 # --- FMUs that fork, write into the connection, or stop processes
 
 

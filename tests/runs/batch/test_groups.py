@@ -1,13 +1,11 @@
 """Cases in groups over workers, of which some end, and in processes of their own."""
 
 import logging
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
 from typing import Any
 
-import dask
 import numpy as np
 import pandas as pd
 import pytest
@@ -16,7 +14,6 @@ from distributed import KilledWorker
 from fmuid.errors import FmuidError
 from fmuid.runs.batch import worker_pool as cluster
 from fmuid.runs.batch.case import CaseRunner
-from fmuid.runs.batch.local_workers import CALM
 from fmuid.runs.batch.study_package import StudyPackage
 from fmuid.runs.batch.worker import GroupResult, IsolatedCases, run_group
 from fmuid.studies.study import Study
@@ -93,37 +90,6 @@ def test_workers_have_a_private_folder(tmp_path: Path, monkeypatch: pytest.Monke
         cluster._scratch_folder().__enter__()
 
 
-@pytest.mark.slow
-def test_workers_of_this_machine_do_not_watch_themselves() -> None:
-    """Neither they nor who schedules them: what Dask does so every few milliseconds nobody sees here."""
-    with cluster.crew(workers=1) as there:
-        there._client.wait_for_workers(1)
-        for name, value in CALM.items():
-            assert dask.config.get(name) == value
-            assert set(there._client.run(dask.config.get, name).values()) == {value}
-    assert dask.config.get("distributed.admin.tick.interval") != CALM["distributed.admin.tick.interval"]
-
-
-@pytest.mark.slow
-def test_lost_tasks_of_dask_say_nothing() -> None:
-    code = """if 1:
-        import asyncio, gc
-        from fmuid.runs.batch.worker_pool import crew
-        async def lost():
-            raise OSError('nobody asks')
-        async def begin():
-            asyncio.ensure_future(lost())
-            await asyncio.sleep(0)
-        if __name__ == '__main__':
-            with crew(workers=1) as there:
-                there._client.sync(begin)
-                gc.collect()
-            gc.collect()
-    """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=600, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
-
-
 needs_fork = pytest.mark.skipif(sys.platform == "win32", reason="processes of their own need fork")
 
 
@@ -142,19 +108,6 @@ def study_of(folder: Path, modes: list[int], **other: Any) -> Study:
     }
     data |= other
     return Study.of(data, folder / "study.toml")
-
-
-@needs_fork
-@pytest.mark.slow
-def test_what_several_cases_of_an_order_print_is_told_apart(tmp_path: Path) -> None:
-    study = study_of(tmp_path, [Mode.SOUND, Mode.SOUND, Mode.SPEAK, Mode.SOUND, Mode.SPEAK])
-    found = IsolatedCases(study).run(range(5))
-    assert [bool(outcome.log) for outcome in found] == [False, False, True, False, True]
-    assert found[4].log
-    assert found[2].log.startswith(found[4].log)
-    plain = CaseRunner(study)
-    for k in (0, 1, 3):
-        assert found[k].row["value.gain"] == plain(k).row["value.gain"]
 
 
 @needs_fork
