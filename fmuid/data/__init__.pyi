@@ -23,6 +23,7 @@ from .measured_series import MeasuredSeries as MeasuredSeries
 from .measured_series import measured_series as measured_series
 from .noise import Noise as Noise
 from .noise import noise_levels as noise_levels
+from .noise import response_of as response_of
 from .npz import read_arrays as read_arrays
 from .npz import write_arrays as write_arrays
 from .observation import LINES as LINES
@@ -43,4 +44,8 @@ from .priors import JointPrior as JointPrior
 from .priors import Normal as Normal
 from .readers.text import first_lines as first_lines
 from .readers.text import head_length as head_length
+from .responses import DECIBEL as DECIBEL
+from .responses import DEGREE as DEGREE
+from .responses import FrequencyExperiment as FrequencyExperiment
+from .responses import Response as Response
 from .sensor_map import SensorMap as SensorMap

@@ -102,6 +102,20 @@ class Experiment(HtmlTableMixin):
         """Everything that a kind of experiments adds, as text."""
         return ""
 
+    @property
+    def axis(self) -> dict[str, Floats]:
+        """First columns of tables of outputs, (K,) each."""
+        return {"time": self.times}
+
+    @property
+    def smooth_over(self) -> Floats | None:
+        """Coordinate (K,) over which outputs are smooth; None without one."""
+        return self.times
+
+    def readings(self, output: str) -> Floats:
+        """Return the magnitude (K,) of each sample of an output."""
+        return np.asarray(np.abs(self.output_values[:, self.output_names.index(output)]))
+
     @cached_property
     def times(self) -> Floats:
         """Times (K,), s."""

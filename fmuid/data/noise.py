@@ -21,7 +21,11 @@ from fmuid.units import parse_unit
 # With larger variances, or smaller ones than its inverse, squares of residuals overflow.
 LARGEST_VARIANCE = 1e100
 # Words of which an output has one at most, and those that may name a column or give all samples.
-FORMS, BY_SAMPLE = ("variance", "std", "relative_std", "weights"), ("std", "weights")
+FORMS, BY_SAMPLE = ("variance", "std", "relative_std", "reading_std", "weights"), ("std", "weights")
+
+READINGS = "readings"  # form of an estimated fraction of each reading
+ESTIMATED = ("variance", "reading_std")
+"""Words with "estimate" as value."""
 
 
 @dataclass(frozen=True)
@@ -41,9 +45,9 @@ Level = Positive | str | Sequence[float]
 class Noise:
     """Measurement noise of each output, R_b of (1.37), diagonal.
 
-    Per output, give one of `variance`, `std`, `relative_std` and `weights`, in units of the data. Without them, the
-    variance is estimated from the residual (docs/method/noise-variances.md); a robust loss uses `robust_variance`. In
-    Python, `std` and `weights` may also hold all samples, (K,).
+    Per output, give one of `variance`, `std`, `relative_std`, `reading_std` and `weights`, in units of the data.
+    Without them, the variance is estimated from the residual (docs/method/noise-variances.md); a robust loss uses
+    `robust_variance`. In Python, `std` and `weights` may also hold all samples, (K,).
 
     Raises
     ------
@@ -66,6 +70,8 @@ class Noise:
     """noise level: a number, or a column with one per sample"""
     relative_std: Positive | Mapping[str, Positive] | None = None
     """noise level as a fraction of the standard deviation of the output"""
+    reading_std: Literal["estimate"] | Positive | Mapping[str, Positive] | None = None
+    """noise level as a fraction of each reading, or "estimate"; default of frequency responses"""
     weights: Level | Mapping[str, Level] | None = None
     """column of weights w: variance σ²/w, with one estimated σ² for all weighted outputs"""
     shared_variance: bool | Sequence[str] = False
@@ -82,7 +88,7 @@ class Noise:
             given = getattr(self, word)
             if isinstance(given, Mapping):
                 given = {output: _checked(word, output, value) for output, value in given.items()}
-            elif given is not None and not (word == "variance" and isinstance(given, str) and given == "estimate"):
+            elif given is not None and not (word in ESTIMATED and isinstance(given, str) and given == "estimate"):
                 given = _checked(word, "", given)
             object.__setattr__(self, word, given)
         if self.delay_std is not None and not 0 <= self.delay_std < math.inf:
@@ -95,6 +101,7 @@ class Noise:
     def form(self, output: str) -> tuple[str, Any]:
         """Return the form of noise of an output and its value; "" and None if not given."""
         said = [(word, level) for word in FORMS if (level := _of(getattr(self, word), output)) is not None]
+        said = [(word, level) for word, level in said if word != "variance" or not isinstance(level, str)]
         if len(said) > 1:
             raise InputError(f"noise: {said[0][0]} and {said[1][0]} of output {output!r} are both given. Keep one.")
         return said[0] if said else ("", None)
@@ -116,7 +123,7 @@ class Noise:
 
     def given_variance(self) -> float | Mapping[str, float] | None:
         """Return the given variance, None if it is estimated; other forms are refused."""
-        for word in ("std", "relative_std", "weights", "shared_variance", "excitation_period", "experiments"):
+        for word in (*FORMS[1:], "shared_variance", "excitation_period", "experiments"):
             if getattr(self, word):
                 raise InputError(f"noise.{word}: not supported by diagnosis. Use noise.variance.")
         return None if isinstance(self.variance, str) else self.variance
@@ -127,7 +134,7 @@ class Noise:
             given = getattr(self, word)
             listed = word == "shared_variance" and not isinstance(given, bool)
             for output in given if listed or isinstance(given, Mapping) else ():
-                if output not in outputs:
+                if output not in outputs and output not in map(response_of, outputs):
                     raise InputError(f"noise.{word}: {output!r} is no measured output{nearest(output, outputs)}.")
 
     def known(self, outputs: Sequence[str]) -> Floats:
@@ -148,8 +155,13 @@ class Noise:
 def _of(given: Any, output: str) -> Any:
     """Return the value of a key for an output, if any."""
     if isinstance(given, Mapping):
-        return given.get(output)
-    return None if isinstance(given, str) and given == "estimate" else given
+        return given.get(output, given.get(response_of(output)))
+    return given
+
+
+def response_of(output: str) -> str:
+    """Return the complex response of an output such as ``Z.real``."""
+    return output.rpartition(".")[0]
 
 
 def _checked(word: str, output: str, value: Any) -> Any:
@@ -163,7 +175,7 @@ def _checked(word: str, output: str, value: Any) -> Any:
         except (TypeError, ValueError):
             raise InputError(f"noise.{word}{of} must be numbers.") from None
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
-        also = {"variance": ' or "estimate"', "std": " or a column", "weights": " or a column"}.get(word, "")
+        also = ' or "estimate"' if word in ESTIMATED else " or a column" if word in BY_SAMPLE else ""
         raise InputError(f"noise.{word}{of} must be a positive number{also}, not {value!r}.")
     if not (math.isfinite(value) and value > 0):
         raise InputError(f"noise.{word}{of} must be positive and finite, not {value:g}.")
@@ -224,7 +236,7 @@ def noise_levels(noise: Noise, experiments: Sequence[Experiment], outputs: Seque
     if pool.sum() == 1 and scale is None and "weights" in forms[alone := outputs[int(np.argmax(pool))]]:
         why = f"constant weights of output {alone!r} alone have no effect"
         raise InputError(f"noise.weights: {why}. Add weights of other outputs, or a column.")
-    pools = (np.flatnonzero(pool),) if pool.sum() > 1 else ()
+    pools = ((np.flatnonzero(pool),) if pool.sum() > 1 else ()) + _responses(outputs, forms)
     return NoiseLevels(np.where(given, share, math.nan), noise.first(outputs), scale, share, pools)
 
 
@@ -236,15 +248,33 @@ def _variances(noise: Noise, experiments: Sequence[Experiment], experiment: Expe
     if not word:
         word, level = noise.form(output)
         among = [each for each in experiments if output in each.output_names]
+    if not word and experiment.kind == "frequency":
+        word, level = "reading_std", "estimate"
     if word == "variance":
         return level, word
     if word == "relative_std":
         return (level * _spread(among, output)) ** 2, word
+    if word == "reading_std":
+        readings = _readings(experiment, output)
+        if not isinstance(level, str):
+            return (level * readings) ** 2, word
+        return readings**2, READINGS if experiment.kind == "frequency" else ""
     if not word:
         return 1.0, ""
     values = level if isinstance(level, float) else _samples(experiment, output, word, level)
     with np.errstate(divide="ignore"):
         return (values**2 if word == "std" else 1.0 / values), word
+
+
+def _readings(experiment: Experiment, output: str) -> Floats:
+    """Return the magnitude (K,) of each reading."""
+    counted = experiment.counted[:, experiment.output_names.index(output)]
+    found = np.where(counted, experiment.readings(output), 1.0)
+    zero = np.flatnonzero(found == 0.0)
+    if zero.size:
+        why = f"output {output!r} is 0 in row {zero[0] + 1}"
+        raise InputError(f"noise.reading_std: {why}. Use std, or leave the cell empty.")
+    return found
 
 
 def _spread(experiments: Sequence[Experiment], output: str) -> float:
@@ -296,7 +326,7 @@ def _column(experiment: Experiment, output: str, column: str, *, convert: bool) 
 
 
 def _is_given(output: str, forms: Sequence[str]) -> bool:
-    found = {form in ("variance", "std", "relative_std") for form in forms}
+    found = {form in ("variance", "std", "relative_std", "reading_std") for form in forms}
     if len(found) > 1:
         said = f"noise of output {output!r} is given in some experiments only"
         raise InputError(f"{said}. Give it in all, or use weights.")
@@ -308,6 +338,15 @@ def _is_pooled(noise: Noise, output: str, forms: Sequence[str]) -> bool:
     if common and not isinstance(noise.shared_variance, bool) and _is_given(output, forms):
         raise InputError(f"noise.shared_variance: noise of output {output!r} is given already. Remove one of the two.")
     return (common or "weights" in forms) and not _is_given(output, forms)
+
+
+def _responses(outputs: Sequence[str], forms: Mapping[str, Sequence[str]]) -> tuple[Indices, ...]:
+    """Return the outputs of each complex response: one relative variance."""
+    found: dict[str, list[int]] = {}
+    for j, output in enumerate(outputs):
+        if READINGS in forms[output] and response_of(output):
+            found.setdefault(response_of(output), []).append(j)
+    return tuple(np.array(each) for each in found.values() if len(each) > 1)
 
 
 def _proportions(

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from annotated_types import Gt
 
+from fmuid.array_types import Floats
 from fmuid.data.data_file import UNITS
 from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError
@@ -87,6 +88,16 @@ class SteadyExperiment(Experiment):
     def design(self) -> str:
         """Supply and guess, as text."""
         return repr((self.supply, dict(self.guess)))
+
+    @property
+    def axis(self) -> dict[str, Floats]:
+        """Row numbers and inputs, (K,) each."""
+        return {ROW: self.times, **dict(zip(self.input_names, self.input_values.T, strict=True))}
+
+    @property
+    def smooth_over(self) -> Floats | None:
+        """None: rows have no order."""
+        return None
 
     def __repr__(self) -> str:
         return describe_rows(self)

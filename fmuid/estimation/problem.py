@@ -30,7 +30,7 @@ from fmuid.estimation.noise.periodic_error import check_periods
 from fmuid.estimation.predictors import FunctionPredictor, Predictor
 from fmuid.estimation.simulation_noise import NOISE
 from fmuid.estimation.solver_check import UsedModel
-from fmuid.estimation.starting_points import second_difference_noise
+from fmuid.estimation.starting_points import second_difference_noise, smoothness_noise
 
 
 class LeastSquares:
@@ -250,22 +250,30 @@ class LeastSquares:
 
     @cached_property
     def shown_noise(self) -> Floats:
-        """Noise level (n_outputs,) from second differences of the data; NaN without samples in time."""
-        squares, counts, in_time = *np.zeros((2, self.counts.size)), np.zeros(self.counts.size, dtype=np.bool_)
-        for experiment, tables in zip(self.experiments, self.tables(self.measured), strict=True):
-            if experiment.kind != "time":
+        """Noise level (n_outputs,) from second differences of the data; NaN where samples have no order."""
+        squares, counts, ordered = *np.zeros((2, self.counts.size)), np.zeros(self.counts.size, dtype=np.bool_)
+        scales = self.tables(np.ones(self.measured.size) if self.levels.scale is None else self.levels.scale)
+        for experiment, tables, scale in zip(self.experiments, self.tables(self.measured), scales, strict=True):
+            order = experiment.smooth_over
+            if order is None:
                 continue
+            at = np.argsort(order, kind="stable")
             for name, values, counted in zip(experiment.output_names, tables.T, experiment.counted.T, strict=True):
                 j, own = self.output_names.index(name), np.where(counted, values, np.nan)
-                in_time[j] = True
-                size, found = int(counted.sum()), second_difference_noise(experiment.times, own)
+                ordered[j] = True
+                size = int(counted.sum())
+                if experiment.kind == "time":
+                    found = second_difference_noise(order, own)
+                else:
+                    weight = scale[:, experiment.output_names.index(name)]
+                    found = smoothness_noise(order[at], (own * weight)[at], weight[at])
                 if math.isfinite(found):
                     squares[j] += size * found**2
                     counts[j] += size
         # constant or stepped outputs: rounding of the largest value
         floor = [1e-9 * float(np.max(np.abs(self.measured[self.groups == j]))) for j in range(counts.size)]
         with np.errstate(invalid="ignore", divide="ignore"):
-            return np.where(in_time, np.fmax(np.sqrt(squares / counts), np.maximum(floor, 1e-300)), np.nan)
+            return np.where(ordered, np.fmax(np.sqrt(squares / counts), np.maximum(floor, 1e-300)), np.nan)
 
     @cached_property
     def periods(self) -> dict[str, float]:

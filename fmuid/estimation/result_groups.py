@@ -196,10 +196,10 @@ class Fit:
 
     @cached_property
     def frames(self) -> tuple[pd.DataFrame, ...]:
-        """A table per experiment: time, and ``measured.<output>`` and ``simulated.<output>`` of each output."""
+        """A table per experiment: time or row, and ``measured.<output>`` and ``simulated.<output>`` of each output."""
         frames = []
         for experiment, simulated in zip(self.experiments, self.simulated, strict=True):
-            columns = {"time": experiment.times}
+            columns = experiment.axis
             for k, name in enumerate(experiment.output_names):
                 columns[f"measured.{name}"] = experiment.output_values[:, k]
                 columns[f"simulated.{name}"] = simulated[:, k]

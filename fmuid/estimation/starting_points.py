@@ -52,6 +52,35 @@ def second_difference_noise(times: Floats, values: Floats) -> float:
     return SETTINGS.robust * float(np.median(np.abs(error))) if error.size else float("nan")
 
 
+def smoothness_noise(order: Floats, values: Floats, scale: Floats) -> float:
+    """Return the relative noise level of a curve, NaN with few samples.
+
+    Compares each sample with the cubic through two neighbors on each side, by the median: an upper bound.
+
+    Parameters
+    ----------
+    order : (K,) array
+        Coordinate, increasing.
+    values : (K,) array
+        NaN if a sample is missing.
+    scale : (K,) array
+        Noise level of each sample is proportional to it.
+    """
+    there = np.flatnonzero(~np.isnan(values))
+    if there.size < SETTINGS.noise_samples:
+        return float("nan")
+    x, y, own = order[there], values[there], scale[there]
+    places = np.arange(2, x.size - 2)
+    near = x[places[:, None] + np.array([-2, -1, 1, 2])] - x[places, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = near[:, None, :] / (near[:, None, :] - near[:, :, None])
+        weights = np.where(np.eye(4, dtype=np.bool_), 1.0, ratios).prod(axis=2)
+        error = y[places] - (weights * y[places[:, None] + np.array([-2, -1, 1, 2])]).sum(axis=1)
+        error /= np.sqrt(1.0 + (weights**2).sum(axis=1)) * own[places]
+    known = np.abs(error[np.isfinite(error)])
+    return SETTINGS.robust * float(np.median(known)) if known.size else float("nan")
+
+
 def spans_decades(lower: float, upper: float) -> bool:
     """Return True if a positive range spans a decade: to be divided logarithmically."""
     return lower > 0 and upper >= SETTINGS.decade * lower

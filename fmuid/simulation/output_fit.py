@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -12,6 +12,7 @@ import pandas as pd
 
 from fmuid.array_types import Flags, Floats
 from fmuid.codec import Layout
+from fmuid.data import response_of
 from fmuid.simulation.predictors import output_unit
 
 if TYPE_CHECKING:
@@ -34,15 +35,35 @@ class OutputFit:
     simulated: Floats
     counted: Flags
     """Samples in the cost function (K, n_outputs)."""
+    kind: str = "time"
+    """Of the experiment."""
+    axis: Mapping[str, Floats] = field(default_factory=dict)
+    """First columns of tables, (K,) each; default: the times."""
+    readings: Floats | None = None
+    """Change of each output (K, n_outputs) by one relative unit of its complex response; None of others."""
 
     json_layout: ClassVar = Layout(
-        omitted={"times", "measured", "simulated", "counted"}, derived=("counted_from", "fit", "rmse")
+        omitted={"times", "measured", "simulated", "counted", "kind", "axis", "readings"},
+        derived=("counted_from", "fit", "rmse"),
     )
 
     @property
     def fit(self) -> tuple[float, ...]:
-        """Fit of each output over the counted samples, % (`nrmse_fit`)."""
+        """Fit of each output over the counted samples, % (`nrmse_fit`); of a response 100 less its relative error."""
+        if self.readings is not None:
+            return self._response_fit(self.readings)
         return tuple(nrmse_fit([pair]) for pair in self._counted_pairs)
+
+    def _response_fit(self, readings: Floats) -> tuple[float, ...]:
+        """Return the fit of complex responses, equal for their parts."""
+        errors = np.where(self.counted, (self.measured - self.simulated) / readings, 0.0)
+        names, found = [response_of(name) for name in self.outputs], []
+        for name in names:
+            own = [j for j, each in enumerate(names) if each == name]
+            rows = self.counted[:, own].any(axis=1)
+            square = (errors[:, own] ** 2).sum(axis=1)[rows]
+            found.append(100.0 * (1.0 - math.sqrt(float(square.mean()))) if rows.any() else math.nan)
+        return tuple(found)
 
     @property
     def rmse(self) -> tuple[float, ...]:
@@ -62,14 +83,15 @@ class OutputFit:
 
     def frame(self) -> pd.DataFrame:
         """Return the columns ``time``, and ``measured.`` and ``simulated.`` of each output."""
-        columns = {"time": self.times}
+        columns = dict(self.axis) or {"time": self.times}
         for j, name in enumerate(self.outputs):
             columns |= {f"measured.{name}": self.measured[:, j], f"simulated.{name}": self.simulated[:, j]}
         return pd.DataFrame(columns)
 
     def simulated_frame(self) -> pd.DataFrame:
         """Return the columns ``time`` and each output."""
-        return pd.DataFrame({"time": self.times, **dict(zip(self.outputs, self.simulated.T, strict=True))})
+        first = dict(self.axis) or {"time": self.times}
+        return pd.DataFrame({**first, **dict(zip(self.outputs, self.simulated.T, strict=True))})
 
 
 def nrmse_fit(pairs: Sequence[tuple[Floats, Floats]]) -> float:
@@ -98,9 +120,12 @@ def fit_of(system: System, experiment: Experiment, simulated: Floats) -> OutputF
     """Return simulated outputs (K, n_outputs) with the measured ones."""
     names = experiment.output_names
     units = tuple(output_unit(system, experiment, name) for name in names)
-    return OutputFit(
-        experiment.name, experiment.times, names, units, experiment.output_values, simulated, experiment.counted
-    )
+    readings = None
+    if experiment.kind == "frequency":
+        readings = np.column_stack([experiment.readings(name) for name in names])
+    values = experiment.output_values, simulated, experiment.counted
+    about = experiment.kind, experiment.axis, readings
+    return OutputFit(experiment.name, experiment.times, names, units, *values, *about)
 
 
 def parameter_units(

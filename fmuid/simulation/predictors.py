@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TypeAlias
 
-from fmuid.data import Experiment, SteadyExperiment
+from fmuid.data import Experiment, FrequencyExperiment, SteadyExperiment
 from fmuid.errors import NO_EXPERIMENT, check_kind
 from fmuid.models import PHASOR_FORMULAS, System
+from fmuid.simulation.frequency_simulator import FrequencySimulator, response_unit
 from fmuid.simulation.phasor_simulator import PhasorSimulator
 from fmuid.simulation.point_simulator import PointSimulator
 from fmuid.simulation.simulation_task import Value, column_conversion
@@ -33,6 +34,8 @@ def simulator_of(
         As of `Simulator`, or if the model has no such operating points.
     """
     check_kind(experiment, Experiment, NO_EXPERIMENT)
+    if isinstance(experiment, FrequencyExperiment):
+        return FrequencySimulator(system, experiment, parameters, values=values)
     if isinstance(experiment, SteadyExperiment):
         kind = SteadySimulator if experiment.supply is None else PhasorSimulator
         return kind(system, experiment, parameters, values=values)
@@ -48,6 +51,8 @@ def output_unit(system: System, experiment: Experiment, name: str) -> str | None
     """Return the unit of an output in the data."""
     if name in experiment.units:
         return experiment.units[name]
+    if isinstance(experiment, FrequencyExperiment):
+        return response_unit(system, experiment, name)
     if isinstance(experiment, SteadyExperiment) and is_formula(system, name):
         return PHASOR_FORMULAS[name].unit or None
     return system.unit(name)

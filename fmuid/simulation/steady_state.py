@@ -92,6 +92,12 @@ def _newton(model: PointModel, theta: Floats, start: Floats) -> SteadyStates:
     return SteadyStates(final, model.at(final, thetas), done)
 
 
+def is_at_rest(models: StateSpace, scale: Floats) -> Flags:
+    """Return whether all rates are zero, but for rounding."""
+    rows = np.abs(models.a * scale[:, None]).max(axis=3)
+    return np.asarray((np.abs(models.rates) <= SETTINGS.rest * rows).all(axis=(1, 2)))
+
+
 def _steps(models: StateSpace, rates: Floats, scale: Floats) -> Floats:
     """Return Newton's steps (K, n_x), the shortest where A is singular; NaN where no step makes the rates zero."""
     scaled = models.a[0] * scale[:, None]

@@ -262,14 +262,14 @@ class ExperimentSettings(KindSection):
     def output_names(self) -> tuple[str, ...]:
         """Outputs: variables of the FMU, and sensors."""
         if self.observed is None:
-            return tuple(self.outputs)
+            return (*self.outputs, *self.response_columns)
         others = (name for name in self.outputs if name not in self.observed.currents)
         return (*others, *self.observed.current_sensors)
 
     @property
     def columns(self) -> list[str]:
         """Columns of inputs, outputs and phase signals."""
-        found = [*self.inputs.values(), *self.outputs.values()]
+        found = [*self.inputs.values(), *self.outputs.values(), *self.response_columns.values()]
         if self.observed is not None:
             axes = (*self.observed.currents, *self.observed.voltages) if self.observed.source == "dq" else ()
             found += [*self.observed.columns, *(name for name in axes if name not in self.inputs | self.outputs)]
@@ -312,7 +312,8 @@ def named(experiments: Sequence[ExperimentSettings], top: SectionLocation) -> tu
         name = each.name or each.data.stem
         each.check_keys(each.preprocess.by_rows)
         if not each.output_names:
-            raise each.error('no outputs. Name the measured ones, outputs = ["..."].')
+            wanted = "responses.<name>" if each.kind == "frequency" else 'outputs = ["..."]'
+            raise each.error(f"no outputs. Name the measured ones, {wanted}.")
         for output, column in each.outputs.items():
             if column in each.preprocess.fill_missing:
                 text = f"{column!r} is the output {output!r}. Remove it: missing samples of outputs are ignored."

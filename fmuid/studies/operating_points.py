@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any
 
-from fmuid.data import RotatingFrame
+from fmuid.data import Response, RotatingFrame
 from fmuid.studies import value_kinds as kinds
 from fmuid.studies.section import Settings, StudySection, entry
 
@@ -13,23 +13,28 @@ if TYPE_CHECKING:
 
     from fmuid.data import Experiment
 
-KINDS = ("time", "steady")
+KINDS = ("time", "steady", "frequency")
 OF_TIME = ("time", "time_unit", "sample_rate", "interpolation", "warmup", "observation")
 """Keys that need a time."""
-OF_KIND = {"steady": ("frame", "guess")}
+OF_KIND = {"steady": ("frame", "guess"), "frequency": ("frequency", "responses", "point")}
 """Keys of each other kind."""
+Responses = Annotated[dict[str, Annotated[Response, Settings()]], kinds.Entries("{ name = section }")]
 
 
 class KindSection(StudySection):
     """Kind of an experiment, and what only one kind has."""
 
     kind: Annotated[str, kinds.one_of(KINDS)] = entry(
-        "time", '"steady": each row is an operating point, without a time', "steady"
+        "time", '"steady": rows are operating points; "frequency": rows are frequencies', "steady"
     )
     frame: Annotated[RotatingFrame | None, Settings()] = entry(
         None, 'supply of an AC machine: columns or numbers, with kind = "steady"'
     )
     guess: kinds.Finites = entry({}, 'states where the search for a steady state begins, with kind = "steady"')
+
+    frequency: kinds.Text = entry("frequency", 'column of the frequency, Hz, with kind = "frequency"')
+    responses: Responses = entry({}, 'complex responses by name, with kind = "frequency"')
+    point: kinds.Finites = entry({}, 'inputs at the operating point, with kind = "frequency"; default: start values')
 
     @property
     def in_time(self) -> bool:
@@ -38,9 +43,16 @@ class KindSection(StudySection):
 
     @property
     def supply_columns(self) -> tuple[str, ...]:
-        """Columns of the supply."""
+        """Columns of the supply, and of the frequency."""
         given = {} if self.frame is None else self.frame.given
-        return tuple(each for each in given.values() if isinstance(each, str))
+        found = tuple(each for each in given.values() if isinstance(each, str))
+        return (*found, self.frequency) if self.kind == "frequency" else found
+
+    @property
+    def response_columns(self) -> dict[str, str]:
+        """Parts of responses, with their columns."""
+        found = {name: each.columns.items() for name, each in self.responses.items()}
+        return {f"{name}.{part}": column for name, some in found.items() for part, column in some}
 
     def check_keys(self, by_rows: bool) -> None:
         """Refuse keys of other kinds; `by_rows` says whether preprocessing needs no order of rows."""
@@ -53,11 +65,17 @@ class KindSection(StudySection):
             return
         for key in (each for each in OF_TIME if each in given):
             raise self.error(f'kind = "{self.kind}" has no time. Remove {key}.', key)
+        for key in (each for each in ("inputs", "outputs") if self.kind == "frequency" and each in given):
+            raise self.error(f'kind = "frequency" has responses. Remove {key}.', key)
         if not by_rows:
             raise self.error(f'with kind = "{self.kind}", only computed_columns and park by angle work.', "preprocess")
 
     def experiment_of_rows(self, frame: pd.DataFrame, roles: dict[str, Any]) -> Experiment:
         """Return the experiment of a frame without a time."""
-        from fmuid.data import SteadyExperiment
+        from fmuid.data import FrequencyExperiment, SteadyExperiment
 
+        if self.kind == "frequency":
+            own = {name: value for name, value in roles.items() if name not in ("inputs", "outputs")}
+            own |= {"frequency": self.frequency, "responses": self.responses, "point": self.point}
+            return FrequencyExperiment(frame, **own)
         return SteadyExperiment(frame, **roles, supply=self.frame, guess=self.guess)

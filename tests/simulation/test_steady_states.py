@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+import scipy.stats
 
 import fmuid
 from fmuid.data import RotatingFrame, SteadyExperiment
 from fmuid.errors import FmuidError
 from fmuid.models import System
 from fmuid.simulation import AnySimulator, simulator_of
-from tests.support.exported import export_text
 from tests.support.paths import FMUS
 from tests.support.resting import (
     ADDING,
@@ -28,18 +28,6 @@ from tests.support.resting import (
 )
 
 INDUCTION = FMUS / "InductionMachine/InductionMachine.fmu"
-
-
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    folder, known = tmp_path_factory.mktemp("resting"), dict[str, Path]()
-
-    def export(text: str) -> Path:
-        if text not in known:
-            known[text] = export_text(folder, text)
-        return known[text]
-
-    return export
 
 
 def steady(
@@ -95,7 +83,7 @@ def test_units_of_headers_count() -> None:
     ],
 )
 def test_rows_without_a_usable_steady_state_say_why(
-    made: Callable[[str], Path], text: str, u: float, more: dict[str, object], expected: str | float
+    made: Callable[[str], Path], text: str, u: float, more: dict[str, Any], expected: str | float
 ) -> None:
     simulator = steady(made(text), {"u": [u]}, ["a"], ["x"], **more)
     if isinstance(expected, float):
@@ -126,6 +114,23 @@ def test_a_machine_is_identified_from_its_load_points() -> None:
     assert result.accuracy is None  # nothing was integrated
     assert (np.abs(result.values - list(MACHINE.values())) < 4.0 * result.std).all()
     assert (result.std < 0.03 * result.values).all()
+
+
+@pytest.mark.campaign
+def test_intervals_of_load_points_cover() -> None:
+    """95 % of 400 draws with known noise, each parameter by the exact binomial test."""
+    table, truth, covered, level = three_tests(), np.array(list(MACHINE.values())), [], {"I": 0.002, "P": 0.005}
+    free = {name: fmuid.Parameter(1.3 * value, min=1e-3) for name, value in MACHINE.items()}
+    noise = fmuid.Noise(std={"I_rms": tuple(level["I"] * table["I"]), "P": tuple(level["P"] * table["P"])})
+    for seed in range(400):
+        random = np.random.default_rng(seed)
+        noisy = {name: table[name] * (1.0 + size * random.normal(size=len(table))) for name, size in level.items()}
+        supply = RotatingFrame(50.0, "U", slip="s")
+        experiment = SteadyExperiment(table.assign(**noisy), outputs={"I_rms": "I", "P": "P"}, supply=supply)
+        bounds = fmuid.identify(fmuid.Problem(INDUCTION, experiment, free, noise=noise)).intervals(0.95)
+        covered.append((bounds["lower"] <= truth) & (bounds["upper"] >= truth))
+    counts = np.sum(covered, axis=0)
+    assert min(scipy.stats.binomtest(int(each), 400, 0.95).pvalue for each in counts) > 0.05 / truth.size, counts
 
 
 def test_a_transient_and_a_table_share_the_parameters() -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
 import pytest
 
 import fmuid
@@ -12,6 +14,7 @@ from fmuid.errors import InputError
 from tests.support.paths import FMUS
 from tests.support.resting import MACHINE, three_tests
 
+SIDES = ("measured", "simulated")
 STEADY = """
 [model]
 fmu = "InductionMachine.fmu"
@@ -33,7 +36,26 @@ def folder(tmp_path: Path) -> Path:
     for suffix in (".fmu", ".nameplate.toml"):
         shutil.copy(FMUS / f"InductionMachine/InductionMachine{suffix}", tmp_path)
     three_tests().rename(columns={"P": "P (W)"}).to_csv(tmp_path / "tests.csv", index=False)
+    shutil.copy(fmuid.datasets.coil().fmu, tmp_path / "Coil.fmu")
+    frequencies = np.logspace(-1, 3, 41)
+    impedance = 4.0 + 0.2j * np.pi * frequencies
+    spectrum = {"f (Hz)": frequencies, "|Z| (Ohm)": np.abs(impedance), "phi (deg)": np.degrees(np.angle(impedance))}
+    pd.DataFrame(spectrum).to_csv(tmp_path / "spectrum.csv", index=False)
     return tmp_path
+
+
+SPECTRUM = """
+[model]
+fmu = "Coil.fmu"
+[[experiments]]
+kind = "frequency"
+data = "spectrum.csv"
+frequency = "f"
+responses.Z = { of = "u / i", magnitude = "|Z|", phase = "phi" }
+[parameters]
+R = { start = 1.0, min = 0.01 }
+L = { start = 1.0, min = 0.001 }
+"""
 
 
 def study_of(folder: Path, text: str = STEADY) -> fmuid.Study:
@@ -49,6 +71,37 @@ def test_a_table_of_tests_gives_the_machine(folder: Path) -> None:
     assert (folder / "out/report.html").is_file()
 
 
+def test_a_spectrum_gives_the_winding(folder: Path) -> None:
+    found = fmuid.run(study_of(folder, SPECTRUM), folder / "out")
+    assert found.succeeded
+    assert found.result.values == pytest.approx([4.0, 0.1], rel=1e-6)
+    fit = pd.read_csv(folder / "out/fit.csv")
+    assert list(fit.columns) == ["frequency", *(f"{a}.Z.{b}" for b in ("magnitude", "phase") for a in SIDES)]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('frequency = "f"', 'frequency = "w"', "input column 'w' not found"),
+        ('frequency = "f"', 'frequency = "f"\noutputs = ["i"]', "has responses. Remove outputs"),
+        ('frequency = "f"', 'frequency = "f"\nframe = { frequency = 50.0 }', "frame: give either voltage"),
+        ('frequency = "f"', 'frequency = "f"\nguess = { i = 1.0 }', 'guess: needs kind = "steady"'),
+        ('of = "u / i"', 'of = "u i i"', "no signal 'u i i'"),
+        ('phase = "phi"', 'real = "phi"', "responses.Z: magnitude and real cannot be combined|real and magnitude"),
+        ("responses.Z = ", "outputs = ", "outputs"),
+        (
+            'responses.Z = { of = "u / i", magnitude = "|Z|", phase = "phi" }',
+            "",
+            "no outputs. Name the measured ones, resp",
+        ),
+    ],
+)
+def test_wrong_responses_are_refused(folder: Path, old: str, new: str, message: str) -> None:
+    assert SPECTRUM.count(old) == 1
+    with pytest.raises(InputError, match=message):
+        study_of(folder, SPECTRUM.replace(old, new)).problem()
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -62,7 +115,7 @@ def test_a_table_of_tests_gives_the_machine(folder: Path) -> None:
         ("frequency = 50.0", "frequency = 0.0", "frequency must be above 0 Hz"),
         ('P = "P"', 'torque = "T"', "'torque' needs pole_pairs in frame"),
         ('P = "P"', 'ids = "P"', "with frame, outputs are I_rms, P, Q, S"),
-        ('kind = "steady"', 'kind = "static"', 'must be "time" or "steady"'),
+        ('kind = "steady"', 'kind = "static"', 'must be "time" or "steady" or "frequency"'),
     ],
 )
 def test_wrong_keys_are_refused_in_one_sentence(folder: Path, old: str, new: str, message: str) -> None:
@@ -74,5 +127,5 @@ def test_wrong_keys_are_refused_in_one_sentence(folder: Path, old: str, new: str
 def test_a_table_without_times_names_the_kind(folder: Path) -> None:
     three_tests().drop(columns="T").to_csv(folder / "tests.csv", index=False)  # which might be a time
     text = STEADY.replace('kind = "steady"', "").replace("frame = {", "# ")
-    with pytest.raises(InputError, match=r'or set kind = "steady" for rows without times'):
+    with pytest.raises(InputError, match=r"or set kind for rows without times"):
         study_of(folder, text).problem()

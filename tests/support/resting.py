@@ -94,3 +94,52 @@ def three_tests() -> pd.DataFrame:
         found.append((voltage, voltage * np.sqrt(3.0), slip, speed, 50.0, current, power.real, power.imag, torque))
     table = pd.DataFrame(found, columns=["U", "UL", "s", "n", "f", "I", "P", "Q", "T"])
     return table.assign(cos=table["P"] / np.hypot(table["P"], table["Q"]))
+
+
+SYNCHRONOUS = """model SynchronousMachine "wound field, one damper an axis, axes of its rotor, referred to the stator"
+  parameter Real Ra(unit="Ohm", min=0) = 0.003;
+  parameter Real Ll(unit="H", min=1e-9) = 5e-4;
+  parameter Real Lmd(unit="H", min=1e-9) = 4.4e-3;
+  parameter Real Lmq(unit="H", min=1e-9) = 4.2e-3;
+  parameter Real Rf(unit="Ohm", min=0) = 9e-4;
+  parameter Real Lf(unit="H", min=1e-9) = 4.5e-4;
+  parameter Real RD(unit="Ohm", min=0) = 0.03;
+  parameter Real LD(unit="H", min=1e-9) = 4.0e-4;
+  parameter Real RQ(unit="Ohm", min=0) = 0.02;
+  parameter Real LQ(unit="H", min=1e-9) = 8e-4;
+  input Real ud(unit="V"); input Real uq(unit="V"); input Real uf(unit="V"); input Real w(unit="rad/s");
+  output Real id(unit="A"); output Real iq(unit="A"); output Real if_(unit="A");
+  Real psid(unit="Wb", start=0, fixed=true); Real psiq(unit="Wb", start=0, fixed=true);
+  Real psif(unit="Wb", start=0, fixed=true); Real psiD(unit="Wb", start=0, fixed=true);
+  Real psiQ(unit="Wb", start=0, fixed=true);
+  Real iD(unit="A"); Real iQ(unit="A");
+equation
+  psid = (Ll+Lmd)*id + Lmd*(if_ + iD);
+  psif = Lmd*(id + iD) + (Lmd+Lf)*if_;
+  psiD = Lmd*(id + if_) + (Lmd+LD)*iD;
+  psiq = (Ll+Lmq)*iq + Lmq*iQ;
+  psiQ = Lmq*iq + (Lmq+LQ)*iQ;
+  der(psid) = ud - Ra*id + w*psiq;
+  der(psiq) = uq - Ra*iq - w*psid;
+  der(psif) = uf - Rf*if_;
+  der(psiD) = -RD*iD;
+  der(psiQ) = -RQ*iQ;
+end SynchronousMachine;
+"""
+SYNCHRONOUS_VALUES = dict(
+    zip(
+        ("Ra", "Ll", "Lmd", "Lmq", "Rf", "Lf", "RD", "LD", "RQ", "LQ"),
+        (3e-3, 5e-4, 4.4e-3, 4.2e-3, 9e-4, 4.5e-4, 0.03, 4e-4, 0.02, 8e-4),
+        strict=True,
+    )
+)
+
+
+def standstill_responses(frequencies: np.ndarray) -> dict[str, np.ndarray]:
+    """Return Zd, Zq and sG of IEEE 115's standstill test by the circuit of the machine."""
+    at, s = SYNCHRONOUS_VALUES, 2j * np.pi * frequencies
+    field, damper, magnetizing = at["Rf"] + s * at["Lf"], at["RD"] + s * at["LD"], s * at["Lmd"]
+    inner = 1.0 / (1.0 / magnetizing + 1.0 / field + 1.0 / damper)
+    other = 1.0 / (1.0 / (s * at["Lmq"]) + 1.0 / (at["RQ"] + s * at["LQ"]))
+    stator = at["Ra"] + s * at["Ll"]
+    return {"Zd": stator + inner, "Zq": stator + other, "sG": -inner / field}

@@ -1,0 +1,136 @@
+"""Experiments of frequency responses: a row for each frequency."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fmuid.array_types import Floats
+from fmuid.data.experiment import Experiment
+from fmuid.data.operating_points import ROW, check_rows, describe_rows, with_rows
+from fmuid.errors import InputError
+
+DEGREE, DECIBEL = math.pi / 180.0, math.log(10.0) / 20.0
+"""Of phases and decibels, the relative change of a response in one."""
+FORMS = (("real", "imaginary"), ("magnitude", "phase"), ("decibel", "phase"))
+"""Pairs of columns of a response; each may be alone."""
+
+
+@dataclass(frozen=True)
+class Response:
+    """Complex frequency response: a ratio of two signals, and the columns that hold it."""
+
+    of: str
+    """ratio of two signals of the FMU, such as "u / i" """
+    excited: str | None = None
+    """input that is varied; default: the input in the ratio"""
+    real: str | None = None
+    """column of the real part"""
+    imaginary: str | None = None
+    """column of the imaginary part"""
+    magnitude: str | None = None
+    """column of the magnitude"""
+    decibel: str | None = None
+    """column of the magnitude in dB, 20 lg"""
+    phase: str | None = None
+    """column of the phase, degrees"""
+    delay: float = 0.0
+    """delay of the measured response, s"""
+
+    def __post_init__(self) -> None:
+        parts = [part.strip() for part in self.of.split(" / ")]
+        if not 1 <= len(parts) <= 2 or not all(parts):
+            raise InputError(f'of = {self.of!r} is no ratio. Write it as "u / i".')
+        if not self.columns:
+            raise InputError("no column. Name real and imaginary, or magnitude or decibel, and phase.")
+        if not any(set(self.columns) <= set(form) for form in FORMS):
+            named = " and ".join(self.columns)
+            raise InputError(f"{named} cannot be combined. Name real and imaginary, or a magnitude and phase.")
+
+    @property
+    def signals(self) -> tuple[str, str]:
+        """Numerator and denominator, "" for none."""
+        above, _, below = self.of.partition(" / ")
+        return above.strip(), below.strip()
+
+    @property
+    def columns(self) -> dict[str, str]:
+        """Parts to columns."""
+        names = ("real", "imaginary", "magnitude", "decibel", "phase")
+        return {name: column for name in names if (column := getattr(self, name)) is not None}
+
+
+@dataclass(frozen=True, eq=False)
+class FrequencyExperiment(Experiment):
+    """Frequency responses about an operating point; outputs are their parts, such as ``Z.real``.
+
+    Parameters are those of `Experiment`, without times, inputs and outputs.
+
+    Parameters
+    ----------
+    frequency : str
+        Column of the frequency, Hz unless its unit is rad/s.
+    responses : mapping of str to Response
+    point : mapping of str to float
+        Inputs of the FMU at the operating point; default: their start values.
+
+    Examples
+    --------
+    >>> rows = pd.DataFrame({"f": [1.0, 10.0], "Re": [4.0, 4.0], "Im": [0.63, 6.3]})
+    >>> spectrum = {"Z": fmuid.data.Response("u / i", real="Re", imaginary="Im")}
+    >>> fmuid.data.FrequencyExperiment(rows, frequency="f", responses=spectrum)
+    FrequencyExperiment('experiment', 2 rows, frequency → Z.real, Z.imaginary)
+    """
+
+    kind, least_rows = "frequency", 1
+    frequency: str = "frequency"
+    responses: Mapping[str, Response] = field(default_factory=dict)
+    point: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_rows(self)
+        self._set(frame=with_rows(self.frame), inputs={"frequency": self.frequency}, time=ROW, interpolation="zoh")
+        self._set(outputs=response_columns(self.responses))
+        super().__post_init__()
+
+    @property
+    def design(self) -> str:
+        """Responses and operating point, as text."""
+        return repr((dict(self.responses), dict(self.point)))
+
+    @property
+    def axis(self) -> dict[str, Floats]:
+        """Frequencies (K,), in the unit of the data."""
+        return {"frequency": self.input_values[:, 0]}
+
+    @property
+    def smooth_over(self) -> Floats | None:
+        """Logarithms of the frequencies (K,)."""
+        return np.asarray(np.log(np.maximum(self.input_values[:, 0], np.finfo(np.float64).tiny)))
+
+    def __repr__(self) -> str:
+        return describe_rows(self)
+
+    def part(self, output: str) -> tuple[str, Response, str]:
+        """Return name, response and part of an output."""
+        name, _, part = output.rpartition(".")
+        return name, self.responses[name], part
+
+    def readings(self, output: str) -> Floats:
+        """Return the change (K,) of an output by one relative unit."""
+        name, response, part = self.part(output)
+        if part in ("phase", "decibel"):
+            return np.full(len(self.times), 1.0 / (DEGREE if part == "phase" else DECIBEL))
+        columns = [self.output_names.index(f"{name}.{each}") for each in response.columns if each != "phase"]
+        return np.asarray(np.linalg.norm(self.output_values[:, columns], axis=1))
+
+
+def response_columns(responses: Mapping[str, Response]) -> dict[str, str]:
+    """Return the outputs of responses, with their columns."""
+    found = {f"{name}.{part}": column for name, each in responses.items() for part, column in each.columns.items()}
+    if not found:
+        raise InputError("no responses. Name at least one.")
+    return found
