@@ -176,7 +176,10 @@ def _levels(problem: LeastSquares, result: Result) -> Floats:
 
 def _delays(problem: LeastSquares) -> list[float]:
     """Return σ of the delay in each experiment, samples."""
-    return [problem.noise.delay_in(each.name) if each.input_names else 0.0 for each in problem.experiments]
+    timed = [each.kind == "time" and bool(each.input_names) for each in problem.experiments]
+    return [
+        problem.noise.delay_in(each.name) if own else 0.0 for each, own in zip(problem.experiments, timed, strict=True)
+    ]
 
 
 class DelayedPredictor:
