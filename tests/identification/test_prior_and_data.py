@@ -45,7 +45,8 @@ def linear(
     measured: Floats, prior: JointPrior | None = None, own: dict[str, Normal] | None = None, **words: Any
 ) -> tuple[LeastSquares, Result]:
     """Identify y = Φ θ."""
-    parameters = {name: Parameter(1.0, prior=(own or {}).get(name)) for name in NAMES}
+    scales = zip(NAMES, (1.0, 20.0, 5.0), strict=True)
+    parameters = {name: Parameter(1.0, nominal=scale, prior=(own or {}).get(name)) for name, scale in scales}
     words = {"noise": Noise(VARIANCE)} | words
     problem = LeastSquares.from_function(lambda theta: PHI @ theta, measured, parameters, joint_prior=prior, **words)
     return problem, identify(problem)

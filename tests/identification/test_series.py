@@ -104,11 +104,13 @@ def test_unrelated_series_are_related_by_chance_only(draws: int, least: float, m
 def test_the_band_is_bartletts_sum() -> None:
     """Σ ρ(k) ρ'(k)/n over all k of both signs, by a loop over the definitions."""
     rng = np.random.default_rng(15)
-    x, u = ar1(rng, 0.8, 400), ar1(rng, 0.9, 400)
+    x, u = 0.2 * ar1(rng, 0.8, 400), 3.0 * ar1(rng, 0.9, 400)
     noise = noise_model(x).correlation
     centred = u - u.mean()
     own = [float(centred[: 400 - k] @ centred[k:]) / float(centred @ centred) for k in range(noise.size)]
     total = noise[0] * own[0] + 2.0 * sum(noise[k] * own[k] for k in range(1, noise.size))
     series = LaggedSeries(lagged(u, 10), u)
-    assert series.correlate(x, noise).std == pytest.approx(math.sqrt(total / 400), rel=1e-9)
+    found = series.correlate(x, noise)
+    assert found.values[0] == pytest.approx(np.corrcoef(x, u)[0, 1])
+    assert found.std == pytest.approx(math.sqrt(total / 400), rel=1e-9)
     assert series.correlate(x, np.ones(1)).std == pytest.approx(math.sqrt(1.0 / 400), rel=1e-9)
