@@ -67,7 +67,6 @@ class BatchMessage(Message):
     )
     STD_TOO_LARGE = doubt(
         "{name}: spread {spread} is below the stated σ ({stated}).",
-        "the noise is smaller than stated",
     )
     BIASED = doubt("{name}: biased by {size} ({share:.2g} × the stated σ).")
     COVERAGE = doubt("{name}: {held:.3g} % of the 95 % intervals contain the true value ({low:.3g} to {high:.3g} %).")
@@ -79,12 +78,10 @@ class BatchMessage(Message):
     EQUAL_OPTIMA = doubt("Several optima fit equally well.", remedy="Narrow the bounds or add priors.")
     DOUBTFUL = doubt(
         "{count} of {total} cases are DOUBTFUL: {reason}.",
-        "a reason of the verdict, without residual tests",
-        "Identify such a case by itself.",
+        remedy="Identify such a case by itself.",
     )
     CHECKED = plain(
         "Solver error checked in {total} cases, in {checked} by new simulations.",
-        "the other cases lie where it was known",
     )
     REFINED = plain("Solver refined in {count} cases.")
     SHIFTED = doubt(

@@ -114,8 +114,7 @@ class DiagnosisMessage(Message, section="causes"):
     FROM_FILE = plain("Healthy data taken from baseline.npz.")
     FILE_UNUSED = doubt(
         "baseline.npz not used ({how}): healthy data evaluated again.",
-        "the file does not fit this study",
-        "Identify the healthy study again with the same faults.",
+        remedy="Identify the healthy study again with the same faults.",
     )
 
 

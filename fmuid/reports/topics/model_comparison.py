@@ -33,7 +33,7 @@ class ComparisonMessage(Message, section="likelihood"):
         "{best} is best by AIC, not clearly: {second} is {behind:.3g} higher.", "clear: a difference of 10 or more"
     )
     CLEARLY_BEST = plain("{best} is clearly best by AIC: {second} is {behind:.3g} higher.")
-    BY_BIC = plain("BIC prefers {best}.", "it penalizes parameters more")
+    BY_BIC = plain("BIC prefers {best}.")
     REJECTED = plain("{smaller} is rejected against {larger}: it needs {freed} (p = {chance}).")
     NOT_REJECTED = plain("{smaller} is not rejected against {larger}: {freed} not needed (p = {chance}).")
     COLORED = plain(
@@ -41,8 +41,7 @@ class ComparisonMessage(Message, section="likelihood"):
     )
     PRIORS = plain(
         "AIC and BIC of {names} are too high: they use priors.",
-        "a prior lowers the likelihood of the data",
-        "Compare on a common data file.",
+        remedy="Compare on a common data file.",
     )
     NO_FIT = plain("Common data: fit undefined for constant outputs.", remedy="Compare the RMSE.")
     AS_GOOD = plain(

@@ -33,11 +33,10 @@ from fmuid.runs import MonitoringRun
 class MonitoringMessage(Message, section="timeline"):
     """Verdict of a monitoring, alarms and notes."""
 
-    NO_WINDOW = plain("No window evaluated.", "the recording is shorter than a window, or samples are missing")
+    NO_WINDOW = plain("No window evaluated.")
     UNDECIDED = plain("UNDECIDED: no window determines {names}.", remedy="Use longer windows or another excitation.")
     NO_ALARM = plain(
         "NO ALARM in {windows} windows at {level:g} % false-alarm rate {per}.",
-        "smaller faults remain possible",
     )
     ALARM = plain(
         "ALARM {cause}{onset}, raised at {time:.6g} s{record}.",

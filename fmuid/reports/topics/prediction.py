@@ -44,7 +44,6 @@ class PredictionMessage(Message, section="prediction"):
     OPEN = plain("{record}: {output} predicted ({size}); its expected RMSE is unknown.")
     AS_EXPECTED = plain(
         "{record}: {output} predicted as expected ({size}).",
-        "noise and uncertainty of the parameters explain the residual",
     )
     WORSE = doubt(
         "{record}: {output} predicted {times} × worse than expected ({size}).",
@@ -59,7 +58,7 @@ class PredictionMessage(Message, section="prediction"):
     REFITTED = plain("{record}: estimated again: {values}.")
     REFIT_ENDED = doubt("Not converged: {names} on {record} ({end}).")
     FOLDS_OPEN = plain("Cross-validation: expected RMSE unknown.")
-    FOLDS = plain("Cross-validation: experiments predicted as expected ({times} ×).", "largest RMSE over expected RMSE")
+    FOLDS = plain("Cross-validation: experiments predicted as expected ({times} ×).")
     FOLDS_WORSE = plain(
         "Cross-validation: experiments predicted up to {times} × worse than expected.",
         remedy="Check the model and the operating points of the experiments.",

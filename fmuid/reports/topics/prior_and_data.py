@@ -36,18 +36,15 @@ class PriorMessage(Message, section="belief"):
     MOVED = plain("Prior of {prior} moved {name} from {alone} to {value} ({moved} σ).")
     NONLINEAR = doubt(
         "Linear combination of prior and data gives {name} = {value}, {distance} σ off.",
-        "σ is approximate",
-        'Set `[uncertainty]` profile_likelihood = ["{name}"], or a posterior.',
+        remedy='Set `[uncertainty]` profile_likelihood = ["{name}"], or a posterior.',
     )
     LARGER = doubt(
         "Residual of {output} exceeds its noise level: {estimated} against {known} (p = {probability}).",
-        "the stated noise does not explain it",
-        "Check the model, the prior and the machine.",
+        remedy="Check the model, the prior and the machine.",
     )
     SMALLER = doubt(
         "Residual of {output} is below its noise level: {estimated} against {known}.",
-        "σ is too large",
-        "State the right noise level: σ is {factor} × too large.",
+        remedy="State the right noise level: σ is {factor} × too large.",
     )
     AS_KNOWN = plain(
         "Residual of {outputs} matches its noise level (variance × {ratios}, p = {probability}).",

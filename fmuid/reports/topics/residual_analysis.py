@@ -43,7 +43,7 @@ class ResidualMessage(Message, section="residuals"):
         "σ is {factors} wider because {reason}.",
         "fewer independent samples than rows",
     )
-    NOT_WIDENED = plain("Colored noise changes σ little.", "it lies where the parameters do not act")
+    NOT_WIDENED = plain("Colored noise changes σ little.")
     CORRELATED = doubt(
         "Residual of {name} correlates with {input} ({value} at {lag}, limit ±{band}).",
         remedy="Check interpolation, delay and unit of {input}.",
@@ -79,8 +79,8 @@ class ResidualMessage(Message, section="residuals"):
     IRREGULAR = plain(
         "{names}: unequal sampling intervals, treated as equal.", remedy="Set `resample_interval` if they differ much."
     )
-    SLIGHT = plain("Residual of {name}: significant but small {traits}.", "harmless")
-    UNTESTED = plain("Residual of {names} is too short, or rounding only: not tested.", "tests need 20 samples")
+    SLIGHT = plain("Residual of {name}: significant but small {traits}.")
+    UNTESTED = plain("Residual of {names} is too short, or rounding only: not tested.")
 
 
 def residual_remarks(found: ResidualAnalysis, units: Mapping[str, str | None] | None = None) -> list[Remark]:

@@ -62,9 +62,7 @@ class SolverMessage(Message, section="accuracy"):
     """Solver error of the estimates, and solver refinement."""
 
     PASSED = plain("Solver error is below {shift} σ.")
-    PASSED_OUTPUTS = plain(
-        "Solver error changes all outputs by {change} σ of the noise.", "no estimate has a σ to compare with"
-    )
+    PASSED_OUTPUTS = plain("Solver error changes all outputs by {change} σ of the noise.")
     CHECKED = plain("Solver check: {finer}.")
     REFINED = plain(
         "Solver refined to {after}: {reason}.",
@@ -72,7 +70,6 @@ class SolverMessage(Message, section="accuracy"):
     )
     REFUSED = plain(
         "{count} other optima exist only with the inaccurate solver.",
-        "a more accurate solver moves away from them",
     )
     SHIFTED = plain("Solver error moves {shifts}; σ includes it.")
     ASKED = plain(
@@ -86,8 +83,7 @@ class SolverMessage(Message, section="accuracy"):
     FINEST = plain("The solver was kept: no more accurate one exists.", remedy="Export the FMU for Model Exchange.")
     UNKNOWN = doubt(
         "Solver error is unknown; it changes all outputs by {change} σ of the noise.",
-        "not all parameters have a σ",
-        "First make all parameters identifiable.",
+        remedy="First make all parameters identifiable.",
     )
     UNCHECKABLE = doubt(
         "Solver error is unknown: no more accurate solver exists.",

@@ -44,8 +44,7 @@ class StudyMessage(Message):
     )
     NO_MODEL = doubt(
         "{path}: this earlier result names no model.",
-        "the parameters may mean something else",
-        "Identify it again.",
+        remedy="Identify it again.",
     )
     OTHER_BUILD = doubt(
         "{path}: this earlier result used another build of {model} than {fmu}.",

@@ -46,8 +46,7 @@ class TerminationMessage(Message, section="cost"):
     UNSETTLED = bad("Not converged: noise variances do not settle.", remedy="Set `noise.variance`.")
     ITERATION_LIMIT = bad(
         "Not converged: limit of {iterations} reached.",
-        "the estimates still change",
-        "Raise `max_iterations` or improve the initial guess.",
+        remedy="Raise `max_iterations` or improve the initial guess.",
     )
     RUNAWAY = bad(
         "Not converged: parameters diverge without improving the fit.",
@@ -87,7 +86,6 @@ class StartMessage(Message, section="cost"):
 
     RESTARTED = plain(
         "Initial guess failed; restart {number} of {count} converged.",
-        "`--verbose` lists the starting points",
     )
     MODEL_ERROR = doubt(
         "Residual is {ratio} × noise level; all {count} starting points agree.",

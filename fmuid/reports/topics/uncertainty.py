@@ -40,7 +40,6 @@ class UncertaintyMessage(Message, section="profiles"):
     )
     END_NOT_CONVERGED = doubt(
         "At {name} = {value} the other parameters did not converge ({reason}).",
-        "the interval may be wider",
     )
     OTHER_BOUND = doubt("At the {end} end of {name}, {other} is at its bound {bound}.")
     BETTER = doubt(
@@ -71,8 +70,7 @@ class UncertaintyMessage(Message, section="profiles"):
     )
     TOO_FEW = doubt(
         "{name} has {samples} independent samples instead of {wanted}.",
-        "right so far, but too coarse for the tails",
-        "Raise `max_steps` to about {more}.",
+        remedy="Raise `max_steps` to about {more}.",
     )
     OTHER_OPTIMUM = doubt(
         "Another optimum is similarly probable: {values}.",
