@@ -172,6 +172,8 @@ class Experiment(HtmlTableMixin):
         for variable in (each for each in inputs if each in outputs):
             raise InputError(f"{source}: {variable!r} is both input and output. Give it one role.")
         frame = _frame(source, self.frame, self.time)
+        if self.observation is not None and self.kind != "time":
+            raise InputError(f"{source}: observation: rows are {self.kind}. Only samples in time have phase signals.")
         if self.observation is not None and self.time in frame.columns:
             frame, inputs, outputs = self._observed(source, frame, inputs, outputs)
         for roles in (inputs, outputs):

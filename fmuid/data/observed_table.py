@@ -131,7 +131,7 @@ def _angle(given: Observation, columns: _Columns, times: Floats) -> Floats:
     """Return the electrical angle (K,), rad."""
     how = given.angle
     if how.column is not None:
-        return how.initial + how.pole_pairs * columns.values(how.column, "rad", "angle")
+        return np.asarray(how.initial + how.pole_pairs * np.unwrap(columns.values(how.column, "rad", "angle")))
     assert how.speed is not None
     speed = how.pole_pairs * columns.values(how.speed, "rad/s", "speed")
     steps = np.diff(times) * (speed[1:] + speed[:-1]) / 2

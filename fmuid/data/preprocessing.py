@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -294,5 +295,7 @@ def preprocess(given: Table, preparation: Preprocessing, *, time: str = "time") 
     driven = {name: given.columns[name] for name in given.input_names}
     words = interpolation_words(given.source, given.interpolation, driven)
     between = dict(zip(driven.values(), words, strict=True))
-    frame = preparation.applied(given.frame, given.time, given.source, given.columns.values(), between)
+    raw = () if given.observation is None else given.observation.columns
+    columns = itertools.chain(given.columns.values(), raw)
+    frame = preparation.applied(given.frame, given.time, given.source, columns, between)
     return replace(given, frame=frame)

@@ -42,6 +42,7 @@ from .prior_data_tests import PriorDataTest as PriorDataTest
 from .problem import ModelReference as ModelReference
 from .problem import Problem as Problem
 from .problem import refinement_of as refinement_of
+from .problem import with_quantities as with_quantities
 from .profile_likelihood import EndKind as EndKind
 from .profile_likelihood import Profile as Profile
 from .profile_likelihood import ProfileEndNote as ProfileEndNote

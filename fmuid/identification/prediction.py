@@ -21,7 +21,7 @@ import pandas as pd
 from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
 from fmuid.codec import Layout
-from fmuid.data import Experiment, Noise, Parameter
+from fmuid.data import Experiment, Noise, Parameter, is_quantity
 from fmuid.errors import NO_EXPERIMENT, InputError, check_kind
 from fmuid.estimation import Result, check_level
 from fmuid.formatting import nearest
@@ -202,7 +202,10 @@ def estimates_for(result: Result, system: System, experiment: Experiment, withou
         variable, own = name, ""
         if name not in system.variables and "[" in name:
             variable, _, own = name.removesuffix("]").rpartition("[")
-        if variable not in system.variables:
+        if variable not in system.variables and is_quantity(variable):
+            if experiment.observation is None or variable not in experiment.observation.names:
+                continue  # a sensor that this experiment lacks
+        elif variable not in system.variables:
             near = nearest(variable, system.variables)
             raise InputError(f"the result is of another model: {system.label} has no {variable!r}{near}")
         if variable in without:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Self, cast
 
 from fmuid.array_types import Floats
-from fmuid.data import Experiment, JointPrior, Noise, Parameter, ParameterSet, is_quantity
+from fmuid.data import Experiment, JointPrior, Noise, Observation, Parameter, ParameterSet, is_quantity
 from fmuid.errors import InputError, check_kind
 from fmuid.estimation import SENSITIVITIES, LeastSquares, Result, RunFields, UsedModel
 from fmuid.formatting import nearest
@@ -132,7 +132,8 @@ class Problem(LeastSquares):
         self.values: Mapping[str, Value] = dict(values or {}) | {name: few[0] for name, few in self.choices.items()}
         self.refinement, self.observer = AS_ASKED, None
         check_kind(parameters, Mapping, "parameters must be a mapping of names to fmuid.Parameter(start)")
-        parameters = with_quantities(listed, parameters)
+        observations = [each.observation for each in listed if isinstance(each, Experiment)]
+        parameters = with_quantities(observations, parameters)
         simulators = self._lay_out(listed, tuple(parameters), self.values)
         super().__init__(
             simulators,
@@ -269,10 +270,11 @@ class Problem(LeastSquares):
         return any(each.corrects for each in self.simulators)
 
 
-def with_quantities(experiments: Sequence[Experiment], parameters: Mapping[str, Parameter]) -> dict[str, Parameter]:
+def with_quantities(
+    observations: Sequence[Observation | None], parameters: Mapping[str, Parameter]
+) -> dict[str, Parameter]:
     """Return parameters and those of observations; given ones come first."""
-    found = dict(parameters)
-    maps = [each.observation for each in experiments if isinstance(each, Experiment) and each.observation is not None]
+    found, maps = dict(parameters), [each for each in observations if each is not None]
     known = [name for each in maps for name in each.names]
     for name in (name for name in parameters if is_quantity(name) and name not in known):
         raise InputError(f"parameter {name!r}: no experiment has this sensor or line{nearest(name, known)}.")

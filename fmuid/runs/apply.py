@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from fmuid.data import is_quantity
 from fmuid.errors import InputError
 from fmuid.estimation import Grade, Result
 from fmuid.files import exists, is_folder, replacing
@@ -120,7 +121,8 @@ def _read(
         found = {name: _Estimate(q.value, unit=q.unit) for name, q in given.values.items()}
         return _of_component(path, found, component), given.units
     result = Result.from_json(path)
-    estimates = dict(zip(result.names, map(_Estimate, result.values.tolist(), result.std.tolist()), strict=True))
+    every = zip(result.names, map(_Estimate, result.values.tolist(), result.std.tolist()), strict=True)
+    estimates = {name: each for name, each in every if not is_quantity(name)}  # sensors are no part of the FMU
     found = _of_component(path, estimates, component, tuple(result.setup.models))
     used = result.setup.models.get(component or "")
     identified = model if used is None else used["name"]

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from fmuid.data import Experiment, Parameter, record_files
+from fmuid.data import Experiment, Parameter, is_quantity, record_files
 from fmuid.errors import InputError, check_kind
 from fmuid.estimation import Result
 from fmuid.events import Progress
@@ -61,7 +61,7 @@ def predict_with(
     """Simulate a result over a record with a study's model."""
     known = _of(study)
     again = _free(known, result, free)
-    taken = {name for name in result.names if name in study.system.variables}
+    taken = {name for name in result.names if name in study.system.variables or is_quantity(name)}
     taken |= {name.rpartition("[")[0] for name in result.names if name not in taken}
     for name in study.parameters:
         if name not in taken and name not in again:
@@ -191,7 +191,8 @@ def cross_validate(
 def notes_of(study: Study, path: Path, result: Result) -> list[SourceWarning]:
     """Return warnings on the use of a result with a study."""
     variables: Mapping[str, object] = study.system.variables
-    names = tuple(dict.fromkeys(n if n in variables else n.rpartition("[")[0] for n in result.names))
+    own = [name for name in result.names if name in variables or not is_quantity(name)]
+    names = tuple(dict.fromkeys(name if name in variables else name.rpartition("[")[0] for name in own))
     for name in names:
         study.system.variable(name, "parameter")
     return PriorSource(str(study.path), path, result, names).compare(study.system)

@@ -62,4 +62,6 @@ def output_factor(system: System, name: str, unit: str) -> float:
     """Return the factor from a unit to that of an output."""
     if is_formula(system, name):
         return unit_factor(unit, PHASOR_FORMULAS[name].unit, f"output {name!r}")
+    if system.terms(name)[0] not in system.variables:  # a sensor, whose reading is its own
+        return 1.0
     return column_conversion(system, name, unit)[0]

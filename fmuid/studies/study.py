@@ -16,7 +16,7 @@ from fmuid.errors import InputError
 from fmuid.estimation import Method, Result
 from fmuid.events import Progress
 from fmuid.formatting import bounded
-from fmuid.identification import Assessment, AssessmentSettings, Problem, assess, identify
+from fmuid.identification import Assessment, AssessmentSettings, Problem, assess, identify, with_quantities
 from fmuid.models import System
 from fmuid.simulation import AnySimulator, OutputFit, fit_of, simulator_of
 from fmuid.studies.array_elements import check_shapes
@@ -151,6 +151,8 @@ class Study(HtmlTableMixin):
         known = ParameterReader(top, model.values).read(
             words.parameters, words.prior, [given.name for given in experiments]
         )
+        with top.below("parameters").located():
+            parameters = with_quantities([each.observed for each in experiments], known.parameters)
         model = model.choosing(known.choices)
         estimation, search = words.estimation, words.estimation.settings()
         asked = words.uncertainty.settings(known.names)
@@ -163,7 +165,7 @@ class Study(HtmlTableMixin):
             words.title,
             model,
             experiments,
-            known.parameters,
+            parameters,
             noise,
             search,
             known.joint_prior,
@@ -172,7 +174,7 @@ class Study(HtmlTableMixin):
             estimation,
             None if words.diagnosis is None else words.diagnosis.of(model, estimation.loss, known),
             words.monitoring,
-            None if words.batch is None else words.batch.of(known.parameters, experiments, noise),
+            None if words.batch is None else words.batch.of(parameters, experiments, noise),
             data,
         )
 
