@@ -34,11 +34,9 @@ class Angle:
 
     def __post_init__(self) -> None:
         if (self.column is None) == (self.speed is None):
-            raise InputError(
-                "angle: give column or speed. Without an angle, the phases of sensors are indistinguishable."
-            )
-        if not checked_number(self.pole_pairs, "angle.pole_pairs"):
-            raise InputError("angle: pole_pairs = 0 turns nothing. Give a number above 0.")
+            raise InputError("Give column or speed. Without an angle, the phases of sensors are indistinguishable.")
+        if not checked_number(self.pole_pairs, "pole_pairs"):
+            raise InputError("pole_pairs = 0 turns nothing. Give a number above 0.")
 
 
 @dataclass(frozen=True)

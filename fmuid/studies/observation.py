@@ -37,8 +37,9 @@ class SensorSection(StudySection):
     @property
     def sensor(self) -> Sensor:
         """Sensor of the map."""
+        quantities = [_quantity(each) for each in (self.gain, self.offset, self.delay)]
         with self.place.located():
-            return Sensor(*(_quantity(each) for each in (self.gain, self.offset, self.delay)))
+            return Sensor(*quantities)
 
 
 Lines = Annotated[
@@ -77,18 +78,11 @@ class ObservationSection(StudySection):
         """Map of the experiment."""
         if self.angle is None:
             raise self.error("missing key 'angle'. Without an angle, the phases of sensors are indistinguishable.")
+        sensors = {name: each.sensor for name, each in self.sensors.items()}
+        resistances = {name: _quantity(each) for name, each in self.phase_resistance.items()}
+        windings, dead_time = (self.phases, self.isolated, self.source), _quantity(self.dead_time_voltage)
         with self.place.located():
-            return Observation(
-                self.angle,
-                self.currents,
-                self.voltages,
-                self.phases,
-                self.isolated,
-                self.source,
-                {name: each.sensor for name, each in self.sensors.items()},
-                {name: _quantity(each) for name, each in self.phase_resistance.items()},
-                _quantity(self.dead_time_voltage),
-            )
+            return Observation(self.angle, self.currents, self.voltages, *windings, sensors, resistances, dead_time)
 
 
 def _quantity(given: float | EstimatedSection) -> float | Parameter:
