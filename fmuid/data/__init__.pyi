@@ -9,6 +9,7 @@ from .data_file import read_data as read_data
 from .data_file import record_files as record_files
 from .data_file import tables_in as tables_in
 from .experiment import Experiment as Experiment
+from .expressions import evaluate as evaluate
 from .filters import dropouts as dropouts
 from .filters import evenly as evenly
 from .filters import extremes as extremes
@@ -21,6 +22,8 @@ from .losses import get_loss as get_loss
 from .losses import robust_variance as robust_variance
 from .measured_series import MeasuredSeries as MeasuredSeries
 from .measured_series import measured_series as measured_series
+from .nameplate import Nameplate as Nameplate
+from .nameplate import Printed as Printed
 from .noise import Noise as Noise
 from .noise import noise_levels as noise_levels
 from .noise import response_of as response_of

@@ -115,6 +115,11 @@ class JointPrior:
             raise InputError(f"joint prior: covariance is not symmetric; {said}.")
         self.whitening()
 
+    @property
+    def std(self) -> list[float]:
+        """Standard deviation of each parameter."""
+        return [float(each) for each in np.sqrt(np.diag(self.covariance))]
+
     def whitening(self) -> Floats:
         """Return W (q, q) with WᵀW = M₀⁻¹."""
         std = np.sqrt(np.diag(self.covariance))

@@ -20,6 +20,7 @@ from .model_errors import Direction as Direction
 from .model_errors import ErrorKind as ErrorKind
 from .model_errors import ModelError as ModelError
 from .model_errors import ModelErrors as ModelErrors
+from .nameplate import nameplate_prior as nameplate_prior
 from .observer import with_observer as with_observer
 from .posterior import LARGEST_R_HAT as LARGEST_R_HAT
 from .posterior import Posterior as Posterior

@@ -23,6 +23,7 @@ from fmuid.studies.array_elements import check_shapes
 from fmuid.studies.estimation import EstimationSection, MonitoringSection
 from fmuid.studies.faults import DiagnosisSection
 from fmuid.studies.model import ExperimentSettings, ParsedModel, named
+from fmuid.studies.nameplate import prior_by_nameplate
 from fmuid.studies.parameters import ParameterReader, PriorSource, SourceWarning
 from fmuid.studies.section import SectionLocation
 from fmuid.studies.study_file import StudyFile, override
@@ -148,9 +149,9 @@ class Study(HtmlTableMixin):
         words = StudyFile.read(data, top)
         model = replace(words.model.settings(), isolation=words.isolation if isolated else None)
         experiments = named(words.experiments, top)
-        known = ParameterReader(top, model.values).read(
-            words.parameters, words.prior, [given.name for given in experiments]
-        )
+        prior = None if isinstance(words.prior, str) else words.prior
+        known = ParameterReader(top, model.values).read(words.parameters, prior, [given.name for given in experiments])
+        by_plate = prior_by_nameplate(words.prior, words.nameplate, model, known.names, top)
         with top.below("parameters").located():
             parameters = with_quantities([each.observed for each in experiments], known.parameters)
         model = model.choosing(known.choices)
@@ -168,7 +169,7 @@ class Study(HtmlTableMixin):
             parameters,
             noise,
             search,
-            known.joint_prior,
+            by_plate or known.joint_prior,
             known.sources,
             asked,
             estimation,

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
-from fmuid.data import Noise
+from fmuid.data import Nameplate, Noise
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
 from fmuid.models import Isolation
@@ -18,7 +18,8 @@ from fmuid.studies.batch import BatchSettings
 from fmuid.studies.estimation import EstimationSection, MonitoringSection, UncertaintySection
 from fmuid.studies.faults import DiagnosisSection
 from fmuid.studies.model import ExperimentSettings, ModelSection
-from fmuid.studies.parameters import JointPriorSection, ParameterSection
+from fmuid.studies.nameplate import PriorOrNameplate
+from fmuid.studies.parameters import ParameterSection
 from fmuid.studies.section import Settings, StudySection, entries_of, entry, keys_of, only_tables, table_of
 from fmuid.studies.toml import TomlReadError, parsed, show
 from fmuid.studies.value_kinds import Text
@@ -33,7 +34,8 @@ class StudyFile(StudySection):
     model: ModelSection = entry({}, "model", validate_default=True)
     experiments: list[ExperimentSettings] = entry([], "data files")
     parameters: Annotated[dict[str, ParameterSection], BeforeValidator(by_element)] = entry({}, "free parameters")
-    prior: JointPriorSection | None = entry(None, "joint prior of several parameters")
+    prior: PriorOrNameplate | None = entry(None, 'joint prior of several parameters, or "nameplate"')
+    nameplate: Annotated[Nameplate | None, Settings()] = entry(None, 'what is printed, for prior = "nameplate"')
     noise: Annotated[Noise, Settings()] = entry(Noise(), "measurement noise")
     estimation: EstimationSection = entry({}, "optimization of the parameters", validate_default=True)
     uncertainty: UncertaintySection = entry({}, "intervals beyond the local standard deviations", validate_default=True)

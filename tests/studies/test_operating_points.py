@@ -10,8 +10,9 @@ import pandas as pd
 import pytest
 
 import fmuid
+from fmuid.apps.cli.app import main
 from fmuid.errors import InputError
-from tests.support.paths import FMUS
+from tests.support.paths import FMUS, ROOT
 from tests.support.resting import MACHINE, three_tests
 
 SIDES = ("measured", "simulated")
@@ -129,3 +130,52 @@ def test_a_table_without_times_names_the_kind(folder: Path) -> None:
     text = STEADY.replace('kind = "steady"', "").replace("frame = {", "# ")
     with pytest.raises(InputError, match=r"or set kind for rows without times"):
         study_of(folder, text).problem()
+
+
+PLATE = """
+[nameplate]
+P = "1.19 kW"
+U = "400 V"
+I = 2.73
+cos_phi = 0.78
+n = 1420
+f = 50
+Is_In = 3.1
+Ts_Tn = 0.6
+Tb_Tn = 1.6
+"""
+
+
+def test_a_nameplate_is_a_prior(folder: Path) -> None:
+    alone = fmuid.run(study_of(folder)).result
+    found = fmuid.run(study_of(folder, 'prior = "nameplate"\n' + STEADY + PLATE))
+    assert found.succeeded and found.has_prior
+    assert found.result.estimates.prior_mean == pytest.approx(list(MACHINE.values()), rel=0.05)
+    assert (found.result.std <= 1.001 * alone.std).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (STEADY + PLATE, 'nameplate: has no effect. Set prior = "nameplate"'),
+        ('prior = "nameplate"\n' + STEADY, r"prior: needs the section \[nameplate\]"),
+        ('prior = "plate"\n' + STEADY + PLATE, 'prior: must be "nameplate"'),
+        ('prior = "nameplate"\n' + STEADY + PLATE.replace("n = 1420", ""), "nameplate: missing key 'n'"),
+        ('prior = "nameplate"\n' + STEADY + PLATE.replace("3.1", "9.1"), "nameplate: no machine has this nameplate"),
+    ],
+)
+def test_wrong_nameplates_are_refused(folder: Path, text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        study_of(folder, text)
+
+
+def test_init_takes_a_nameplate(folder: Path) -> None:
+    shutil.copy(ROOT / "experiments/induction_machine/table.csv", folder)
+    given = [f"--nameplate={each}" for each in ("P=1.19 kW", "U=400 V", "I=2.73", "n=1420", "f=50", "cos_phi=0.78")]
+    files = [str(folder / name) for name in ("InductionMachine.fmu", "table.csv", "new.toml")]
+    with pytest.raises(SystemExit, match="0"):
+        main(["init", *files[:2], "-o", files[2], *given])
+    study = fmuid.Study.read(folder / "new.toml")
+    assert study.joint_prior is not None
+    assert set(study.joint_prior.names) == set(MACHINE) <= set(study.parameters)
+    assert study.parameters["Rs"].start == pytest.approx(study.joint_prior.mean[0], rel=1e-3)

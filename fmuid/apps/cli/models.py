@@ -68,6 +68,10 @@ def init(
         list[str] | None,
         Option(metavar="KEY=VALUE", help="Preprocessing of the data, e.g. lowpass_frequency=100; repeatable."),
     ] = None,
+    nameplate: Annotated[
+        list[str] | None,
+        Option(metavar="KEY=VALUE", help="Number of the nameplate, e.g. 'P=1.1 kW'; repeatable."),
+    ] = None,
 ) -> int:
     """Write a first study file for an FMU and data; a terminal is asked in doubt."""
     from fmuid.reports.render import console
@@ -87,7 +91,7 @@ def init(
         _pairs(unit or (), "--unit", "variable=unit", "w=rpm"),
     )
     records = [asked_about(record) for record in match_data_files(fmu, data, asked)]
-    made = draft(fmu, records, output)
+    made = draft(fmu, records, output, _pairs(nameplate or (), "--nameplate", "key=value", "'P=1.1 kW'"))
     write_draft(made, output)
     console.show(draft_document(made, output))
     return DONE if made.runs else NOT_SUCCEEDED

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,8 +10,11 @@ from typing import TYPE_CHECKING
 from fmuid.errors import InputError
 from fmuid.files import exists, relative
 from fmuid.formatting import two_digits
+from fmuid.identification import nameplate_prior
+from fmuid.models import System
 from fmuid.studies.init.data_file import InitOptions, MatchedDataFile
 from fmuid.studies.init.lines import (
+    declared_bounds,
     example,
     free,
     listed,
@@ -32,6 +35,7 @@ from fmuid.studies.init.parameter_survey import (
     proposal,
     survey,
 )  # fmt: skip
+from fmuid.studies.nameplate import nameplate_of, nameplate_offer
 from fmuid.studies.toml import toml_text
 
 if TYPE_CHECKING:
@@ -65,14 +69,19 @@ def match_data_files(
     return records
 
 
-def draft(fmu: Path, records: Sequence[MatchedDataFile], output: Path) -> Draft:
-    """Return a study for an FMU and data files; paths are relative to `output`."""
+def draft(fmu: Path, records: Sequence[MatchedDataFile], output: Path, plate: Mapping[str, str] | None = None) -> Draft:
+    """Return a study for an FMU and data files; paths are relative to `output`.
+
+    With numbers of a nameplate, the parameters that it gives start there.
+    """
+    known = None if not plate else nameplate_prior(System.of(fmu), nameplate_of(plate))
     description = records[0].description
     lines = [
         f"# Study of {description.model_name}, written by `fmuid init`.",
         f"# Check the free parameters below [parameters], then run: fmuid identify {output.name}",
         "",
         f"title = {toml_text(description.model_name)}",
+        *(['prior = "nameplate"'] if known is not None else nameplate_offer(fmu)),
         "",
         "[model]",
         f"fmu = {toml_text(relative(fmu, output.parent))}  # paths are relative to this file",
@@ -87,7 +96,12 @@ def draft(fmu: Path, records: Sequence[MatchedDataFile], output: Path) -> Draft:
         lines += [*_experiment(record, output, f"{stems[k]} {again + 1}" if again else "", first=k == 0), ""]
     ready = [each.experiment for each in records if each.experiment is not None and not each.lacking("input")]
     found = survey(fmu, ready) if len(ready) == len(records) else Survey()
-    lines += [*_parameters(description, found, len(records)), "", *rest()]
+    starts: dict[str, tuple[float, float]] = {}
+    if known is not None:
+        starts = dict(zip(known.names, zip(known.mean.tolist(), known.std, strict=True), strict=True))
+    lines += [*_parameters(description, found, len(records), starts), "", *rest(starts)]
+    if plate:
+        lines += ["", "[nameplate]", *(f"{key} = {toml_text(text)}" for key, text in plate.items())]
     return Draft("\n".join(lines) + "\n", tuple(records), found)
 
 
@@ -152,7 +166,9 @@ def _role(record: MatchedDataFile, which: str) -> list[str]:
     return lines
 
 
-def _parameters(description: Description, found: Survey, experiments: int) -> list[str]:
+def _parameters(
+    description: Description, found: Survey, experiments: int, starts: Mapping[str, tuple[float, float]]
+) -> list[str]:
     lines = [
         "# start, min, max and unit come from the FMU. Further keys: nominal = 1.0 (scale, required if start is 0),",
         '# prior = { mean = 1.0, std = 0.1 } or { result = "healthy/result.json", std_factor = 10 },',
@@ -163,14 +179,20 @@ def _parameters(description: Description, found: Survey, experiments: int) -> li
             f"# Percentages: change of the outputs, relative to their spread, for {100 * SHOWN_CHANGE:g} % more of a",
             "# parameter (of nominal if start is 0). A min or max of 0 keeps the sign of start.",
         ]
-    lines += ["[parameters]", *(_candidate(each, experiments) for each in found.candidates)]
-    looked_at = {each.variable.name for each in found.candidates}
+    lines += ["[parameters]"]
+    for name, (mean, std) in starts.items():
+        variable, start = description.variables[name], float(f"{mean:.4g}")
+        said = f"nameplate: {mean:.4g} ± {std:.2g}"
+        lines.append(parameter_line(variable, start, declared_bounds(variable, start), said=said))
+    candidates = [each for each in found.candidates if each.variable.name not in starts]
+    lines += [_candidate(each, experiments) for each in candidates]
+    looked_at = {each.variable.name for each in found.candidates} | set(starts)
     others = [v for v in free(description) if v.name not in looked_at and not is_solver_setting(v)]
     fixed = ["# " + parameter(v) for v in others if v.causality == "parameter"]
     if found.candidates:
         return lines + (["# not examined:"] if fixed else []) + fixed
-    starts = ["# " + parameter(v) for v in others if v.causality != "parameter"]
-    return [*lines, *fixed, *(["# start values of variables:"] if starts else []), *starts]
+    initial = ["# " + parameter(v) for v in others if v.causality != "parameter"]
+    return [*lines, *fixed, *(["# start values of variables:"] if initial else []), *initial]
 
 
 def _candidate(given: Candidate, experiments: int) -> str:

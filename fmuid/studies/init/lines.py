@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Sized
 from textwrap import shorten
 from typing import TYPE_CHECKING
 
@@ -59,12 +59,13 @@ def numerics(description: Description) -> list[str]:
     return [example(NumericsSection, word) for word in (*words, "tolerance", "step_size")]
 
 
-def rest() -> list[str]:
+def rest(known: Sized = ()) -> list[str]:
     """Return the sections without keys from FMU or data."""
     from fmuid.studies.study_file import StudyFile
 
     lines: list[str] = []
-    for name, asked in (("prior", False), ("noise", True), ("estimation", True), ("uncertainty", False)):
+    prior = () if known else (("prior", False),)
+    for name, asked in (*prior, ("noise", True), ("estimation", True), ("uncertainty", False)):
         table = table_of(keys_of(StudyFile)[name].annotation)
         assert table is not None
         keys = NOISE_EXAMPLES if name == "noise" else [key for key, each in own_first(table) if each.examples]

@@ -1,0 +1,108 @@
+"""Nameplate of an induction machine, as printed."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Annotated
+
+from annotated_types import Gt
+
+from fmuid.errors import InputError
+from fmuid.units import parse_unit
+
+_PRINTED = re.compile(r"\s*([-+]?\d+(?:\.(\d*))?|[-+]?\.(\d+))\s*(\S.*)?")
+UNITS = {"P": "W", "U": "V", "I": "A", "cos_phi": "", "n": "rpm", "f": "Hz", "Is_In": "", "Ts_Tn": "", "Tb_Tn": ""}
+"""Units of numbers without one."""
+
+
+@dataclass(frozen=True)
+class Printed:
+    """Printed number, and half a step of its last digit."""
+
+    value: float
+    half: float
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of the rounding."""
+        return float(self.half / 3.0**0.5)
+
+
+@dataclass(frozen=True)
+class Nameplate:
+    """Nameplate and catalogue of a machine: numbers, or texts with the printed digits and unit.
+
+    Examples
+    --------
+    >>> plate = fmuid.data.Nameplate(P="1.1 kW", U="400 V", I="2.6 A", n="1415", f=50, cos_phi="0.78")
+    >>> plate.printed["P"].value, plate.printed["P"].half, plate.pole_pairs
+    (1100.0, 50.0, 2)
+    """
+
+    P: str | float
+    """rated mechanical power, such as "1.1 kW" """
+    U: str | float
+    """rated line voltage, V"""
+    I: str | float  # noqa: E741 - as printed
+    """rated line current, A"""
+    n: str | float
+    """rated speed, rpm"""
+    f: str | float
+    """rated frequency, Hz"""
+    cos_phi: str | float | None = None
+    """rated power factor"""
+    Is_In: str | float | None = None
+    """starting current over rated current"""
+    Ts_Tn: str | float | None = None
+    """starting torque over rated torque"""
+    Tb_Tn: str | float | None = None
+    """breakdown torque over rated torque"""
+    std_factor: Annotated[float, Gt(0)] = 1.0
+    """factor on σ, for tolerances of the type series beyond rounding"""
+
+    def __post_init__(self) -> None:
+        printed = self.printed
+        for name, each in printed.items():
+            if each.value <= 0.0:
+                raise InputError(f"{name} must be above 0, not {each.value:g}.")
+        share = self.pole_pairs * printed["n"].value / (60.0 * printed["f"].value)
+        if not 0.5 < share < 1.0:
+            raise InputError(f"n = {printed['n'].value:g} rpm is no rated speed at {printed['f'].value:g} Hz.")
+
+    @property
+    def printed(self) -> dict[str, Printed]:
+        """Given numbers by key."""
+        given = {name: getattr(self, name) for name in UNITS}
+        return {name: _read(name, value) for name, value in given.items() if value is not None}
+
+    @property
+    def pole_pairs(self) -> int:
+        """Pole pairs: the largest number whose synchronous speed is above n."""
+        printed = self.printed
+        return max(1, int(60.0 * printed["f"].value / printed["n"].value))
+
+    @property
+    def slip(self) -> Printed:
+        """Rated slip."""
+        printed = self.printed
+        turn = self.pole_pairs / (60.0 * printed["f"].value)
+        return Printed(1.0 - turn * printed["n"].value, turn * printed["n"].half)
+
+
+def _read(name: str, given: str | float) -> Printed:
+    """Return a printed number."""
+    text = (
+        given if isinstance(given, str) else f"{given:.12g}" if "e" in repr(given) else repr(given).removesuffix(".0")
+    )
+    found = _PRINTED.fullmatch(text)
+    if found is None:
+        raise InputError(f'{name} = {text!r} is no printed number. Write it as "1.1 kW".')
+    factor, said = 1.0, (found[4] or "").strip()
+    if said and said != UNITS[name]:
+        own, wanted = parse_unit(said), parse_unit(UNITS[name])
+        if own is None or wanted is None or own.exponents != wanted.exponents:
+            raise InputError(f"{name}: unit {said!r} does not convert to {UNITS[name] or 'a plain number'!r}.")
+        factor = own.factor / wanted.factor
+    digits = found[2] if found[2] is not None else found[3]
+    return Printed(float(found[1]) * factor, 0.5 * 10.0 ** -len(digits or "") * factor)
