@@ -1,6 +1,6 @@
 """Estimates with further columns beside the parameters: model errors, and delays of the acquisition.
 
-The Gauss-Newton step of [J D] with prior rows, and its covariance under the noise that is left (`sandwich`).
+The Gauss-Newton step of [J D] with prior rows, and its covariance under the noise that is left (`sandwich_of_rows`).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import scipy
 from fmuid.array_types import Floats
 from fmuid.estimation.linearized_problem import LinearizedProblem
 from fmuid.estimation.noise.sample_grid import Rows
-from fmuid.estimation.noise.sandwich import SandwichCovariance, sandwich
+from fmuid.estimation.noise.sandwich import SandwichCovariance, sandwich_of_rows
 from fmuid.estimation.problem import LeastSquares
 
 
@@ -30,12 +30,15 @@ class AugmentedProblem:
         Residual, then prior residual.
     root : (N + m, N + m) array
         R with R Rᵀ the covariance under white noise.
+    levels : (n,) array
+        Noise level of each row.
     """
 
     design: Floats
     prior: Floats
     target: Floats
     root: Floats
+    levels: Floats
 
     @property
     def step(self) -> Floats:
@@ -57,10 +60,11 @@ class AugmentedProblem:
         own, given = self.prior @ self.root, ~np.isnan(problem.variance)
         basis = np.linalg.qr(self.design @ self.root)[0]
         left = self.target[: len(self.design)] - self.design @ self.step
+        simulated = problem.measured - self.levels * left
         left = left - basis @ (basis.T @ left)
         white = np.zeros(len(given), np.bool_)
         rows = Rows(left, basis, self.design @ self.root, self.root, own.T @ own, given, white)
-        return sandwich(rows, problem.series, problem.periods)
+        return sandwich_of_rows(problem, rows, simulated)
 
 
 def augmented(local: LinearizedProblem, columns: Floats, prior_std: Floats | None = None) -> AugmentedProblem:
@@ -84,6 +88,5 @@ def augmented(local: LinearizedProblem, columns: Floats, prior_std: Floats | Non
     whole = np.vstack([design, prior])
     scale = np.maximum(np.linalg.norm(whole, axis=0), 1e-300)
     triangle = np.linalg.qr(whole / scale, mode="r")
-    return AugmentedProblem(
-        design, prior, target, scipy.linalg.solve_triangular(triangle, np.eye(len(scale))) / scale[:, None]
-    )
+    root = scipy.linalg.solve_triangular(triangle, np.eye(len(scale))) / scale[:, None]
+    return AugmentedProblem(design, prior, target, root, local.levels)

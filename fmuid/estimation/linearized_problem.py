@@ -35,6 +35,8 @@ class LinearizedProblem:
         Whitened data; counted samples only.
     prior_residual, prior_jacobian : (q,) and (q, N) arrays
         W(θ₀ − θ) and −W; q = 0 without prior.
+    levels : (n,) array
+        Noise level of each row of the data, by which it is whitened.
     magnitudes : (N,) array
         Magnitudes of the parameters.
     data, combined : LocalCovariance
@@ -45,6 +47,7 @@ class LinearizedProblem:
     jacobian: Floats
     prior_residual: Floats
     prior_jacobian: Floats
+    levels: Floats
     magnitudes: Floats
     data: LocalCovariance
     combined: LocalCovariance

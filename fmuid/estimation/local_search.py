@@ -273,7 +273,11 @@ class _Identification:
         if len(jacobian) > data:
             alone = self._covariance(final, whole, jacobian[:data], None if spread is None else spread[:data])
         rows = residual[:data], jacobian[:data], residual[data:], jacobian[data:]
-        return LinearizedProblem(*rows, self.problem.parameters.magnitudes(state.theta), alone, combined)
+        levels, magnitudes = (
+            np.sqrt(final.variance)[self.problem.groups],
+            self.problem.parameters.magnitudes(state.theta),
+        )
+        return LinearizedProblem(*rows, levels, magnitudes, alone, combined)
 
     def _weighed(self, loss: Loss, residual: Floats, jacobian: Floats) -> tuple[Floats, Floats, Floats]:
         """Return rows ψ/√a, Jacobian √a J and spread √(mean ψ²/a); a is an output's mean ψ′."""

@@ -16,7 +16,6 @@ from fmuid.array_types import Floats
 from fmuid.data import Experiment, Normal, Parameter, usual_step
 from fmuid.errors import InputError
 from fmuid.estimation import (
-    AccuracyOutcome,
     AcquisitionDelay,
     AugmentedProblem,
     CostFunction,
@@ -32,9 +31,9 @@ from fmuid.estimation import (
     WhitenedJacobian,
     augmented,
     local_covariance,
-    with_shift,
 )
 from fmuid.identification.conditional_optimum import cost_at
+from fmuid.identification.final_covariance import std_without_shift, with_covariance
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ def include_delay(evaluator: Evaluator[LeastSquares], result: Result) -> Result:
     if not result.fit.is_noisy:
         return result
     evaluator = evaluator.finer(problem.refinement) if not result.chosen else evaluator.of(problem)
-    limits, before, levels = problem.parameters, evaluator.simulations, _levels(problem, result)
+    limits, before, levels = problem.parameters, evaluator.simulations, local.levels
     theta, count, now, begin = result.values, len(result.names), result, result.values
     for _ in range(SETTINGS.steps):
         columns = delay_columns(problem, now)
@@ -101,38 +100,26 @@ def _linearized(function: CostFunction, theta: Floats, local: LinearizedProblem)
         for rows in (data, len(jacobian))
     ]
     rows = residual[:data], jacobian[:data], residual[data:], jacobian[data:]
-    return LinearizedProblem(*rows, magnitudes, *made)
+    return LinearizedProblem(*rows, local.levels, magnitudes, *made)
 
 
 def _allowing(result: Result, freed: AugmentedProblem, found: SandwichCovariance, delay: float) -> Result:
-    """Return a result with the estimates beside a delay; its solver error moves them by as much as before."""
-    count, net, check = len(result.names), delay * np.array([1.0, -1.0]), result.accuracy
-    shifted = check is not None and check.outcome is AccuracyOutcome.SHIFTED
-    before = result.std / np.sqrt(1.0 + check.shift**2) if check is not None and shifted else result.std
-    covariance = found.covariance[:count, :count]
-    std = np.sqrt(np.diag(covariance))
-    variance = float(net @ found.covariance[count:, count:] @ net)
-    fit = replace(
-        result.fit, delay=AcquisitionDelay(float(net @ freed.step[count:]), math.sqrt(variance), std / before)
-    )
-    estimates = replace(
-        result.estimates,
-        covariance=covariance,
-        covariance_white_noise=freed.root[:count] @ freed.root[:count].T * freed.spread,
-        variance_dof=found.freedom[:count],
-    )
-    if check is None:
-        return replace(result, estimates=estimates, fit=fit)
-    check = replace(check, shift=check.shift * before / std)
-    result = replace(result, estimates=estimates, fit=fit, accuracy=check)
-    return with_shift(result, check) if shifted else result
+    """Return a result with its delay and covariance."""
+    count, net = len(result.names), delay * np.array([1.0, -1.0])
+    covariance, white = found.covariance[:count, :count], freed.spread * freed.root[:count] @ freed.root[:count].T
+    std, size = math.sqrt(net @ found.covariance[count:, count:] @ net), float(net @ freed.step[count:])
+    own = AcquisitionDelay(size, std, np.sqrt(np.diag(covariance)) / std_without_shift(result))
+    fit = replace(result.fit, delay=own)
+    return with_covariance(replace(result, fit=fit), covariance, white, found.freedom[:count])
 
 
 def delay_columns(problem: LeastSquares, result: Result) -> Floats:
     """Return the change (n, 2) of whitened outputs by one σ each."""
     tables = zip(*map(secants, problem.experiments, result.fit.simulated, _delays(problem)), strict=True)
     columns = np.stack([problem.stacked(each) for each in tables], axis=1)
-    return np.asarray(columns / _levels(problem, result)[:, None])
+    local = result.fit.linearization
+    assert local is not None, "checked before"
+    return np.asarray(columns / local.levels[:, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,11 +154,6 @@ class DelayedNoise:
         """Return XᵀΓX (k, k) of columns (n, k)."""
         along = self.shares[:, None] * (self.basis.T @ columns)
         return self.noise.gram(self.rows(columns)) + along.T @ along
-
-
-def _levels(problem: LeastSquares, result: Result) -> Floats:
-    """Return the noise level of each counted sample (n,)."""
-    return np.asarray(np.sqrt([result.fit.variance[name] for name in problem.output_names])[problem.groups])
 
 
 def _delays(problem: LeastSquares) -> list[float]:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
+from typing import TypeVar
 
 import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.estimation import LeastSquares, NoiseModel, Result
-from fmuid.identification.directed_tests import largest_scores, probability_of
-from fmuid.identification.model_errors import LEVEL
+
+AnyProblem = TypeVar("AnyProblem", bound=LeastSquares)
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,8 @@ class DataDefectSettings:
     coarse: float = 2.0  # residual stds of a step of the converter: finer ones are noise of their own
     grid_error: float = 0.02  # of a step, within which values are its multiples
     most_levels: float = 0.5  # of the samples: with more different values there is no step
-    clipped_samples: int = 5  # at the end of the range, where the model goes beyond it
+    near_limit: float = 3.0  # residual stds: samples of a model so near a clipped end do not count
+    clipped_samples: int = 5  # at the end of the range; with steps only where the model goes beyond it
     repeated: float = 0.1  # of the samples that repeat the one before, without a step
     least_samples: int = 50
 
@@ -35,8 +37,14 @@ class DefectKind(Enum):
 
     QUANTIZED = "quantized"
     CLIPPED = "clipped"
+    EXCLUDED = "excluded"  # clipped stretches do not count
     REPEATED = "repeated"
-    UNEVEN = "uneven"  # the noise variance follows the signal, its slope or the time
+    UNEVEN = "uneven"  # the noise variance follows the signal, its slope or the time: σ allows for it
+
+    @property
+    def is_doubt(self) -> bool:
+        """True if estimates or intervals may be wrong."""
+        return self not in (DefectKind.UNEVEN, DefectKind.EXCLUDED)
 
 
 @dataclass(frozen=True)
@@ -48,7 +56,7 @@ class DataDefect:
     kind : DefectKind
     output, experiment : str
     values : mapping of str to float
-        ``ratio`` of step to residual std; ``limit`` and ``samples``; ``share``; ``factor`` of largest to least std.
+        ``ratio`` of step to residual std; ``limit`` and ``samples``; ``share``; ``factor`` of std, 95 to 5 %.
     """
 
     kind: DefectKind
@@ -70,26 +78,30 @@ def find_data_defects(problem: LeastSquares, result: Result) -> tuple[DataDefect
         counted = experiment.counted[:, column]
         measured, own = experiment.output_values[counted, column], simulated[counted, column]
         if len(measured) >= SETTINGS.least_samples and np.isfinite(own).all() and np.std(measured - own) > 0.0:
-            found += list(_defects(model, measured, own, len(noise.models)))
+            found += list(
+                _defects(model, measured, own, None if noise.levels is None else noise.levels[model.series.rows])
+            )
     return tuple(found)
 
 
-def _defects(model: NoiseModel, measured: Floats, simulated: Floats, outputs: int) -> Iterator[DataDefect]:
+def _defects(model: NoiseModel, measured: Floats, simulated: Floats, levels: Floats | None) -> Iterator[DataDefect]:
     names, std = (model.series.output, model.series.experiment), float(np.std(measured - simulated))
     step = converter_step(measured)
     if step > SETTINGS.coarse * std:
         yield DataDefect(DefectKind.QUANTIZED, *names, {"ratio": step / std})
     for limit, sign in ((float(measured.max()), 1.0), (float(measured.min()), -1.0)):
         at = measured == limit
-        beyond = sign * (simulated[at] - limit)
-        if at.sum() >= SETTINGS.clipped_samples and beyond.mean() > 0.0:
+        # without steps no two samples are alike by chance
+        beyond = not step or sign * float((simulated[at] - limit).mean()) > 0.5 * step
+        if at.sum() >= SETTINGS.clipped_samples and beyond:
             yield DataDefect(DefectKind.CLIPPED, *names, {"limit": limit, "samples": float(at.sum())})
-    share = float(np.mean(np.diff(measured) == 0.0))
+    inside = (measured[1:] < measured.max()) & (measured[1:] > measured.min())
+    share = float(np.mean((np.diff(measured) == 0.0) & inside))
     if not step and share > SETTINGS.repeated:
         yield DataDefect(DefectKind.REPEATED, *names, {"share": share})
-    factor = uneven_noise(model.whiten(measured - simulated), simulated, outputs)
-    if factor:
-        yield DataDefect(DefectKind.UNEVEN, *names, {"factor": factor})
+    if levels is not None and np.ptp(levels) > 0.0:
+        low, high = np.quantile(levels, (0.05, 0.95))
+        yield DataDefect(DefectKind.UNEVEN, *names, {"factor": float(high / low)})
 
 
 def converter_step(values: Floats) -> float:
@@ -103,23 +115,26 @@ def converter_step(values: Floats) -> float:
     return float(steps.min()) if np.abs(multiples - np.rint(multiples)).max() < SETTINGS.grid_error else 0.0
 
 
-def uneven_noise(innovations: Floats, simulated: Floats, outputs: int = 1) -> float:
-    """Return the ratio of largest to least noise std, 0 without pattern.
+def without_clipped(problem: AnyProblem, result: Result) -> tuple[AnyProblem, tuple[DataDefect, ...]] | None:
+    """Return the problem without clipped stretches, with what was excluded; None without any.
 
-    Koenker's test (J. Econometrics 17, 1981) of squared innovations (n,) against signal², slope² and time.
+    Samples go where the model is near the limit: their noise alone must not decide.
     """
-    squares = innovations**2
-    signals = [simulated**2, np.gradient(simulated) ** 2, np.arange(len(simulated), dtype=np.float64)]
-    columns = [each - each.mean() for each in signals if np.ptp(each) > 0.0]
-    if not columns or not squares.any():
-        return 0.0
-    unit = np.stack([each / np.linalg.norm(each) for each in columns], axis=1)
-    centered = squares - squares.mean()
-    scores = unit.T @ centered / math.sqrt(float(np.mean(centered**2)))
-    i = int(np.argmax(np.abs(scores)))
-    if probability_of(largest_scores(unit.T @ unit), abs(float(scores[i]))) > LEVEL / outputs:
-        return 0.0
-    order = np.argsort(unit[:, i])
-    tenth = max(1, len(order) // 10)
-    low, high = float(squares[order[:tenth]].mean()), float(squares[order[-tenth:]].mean())
-    return math.sqrt(max(low, high) / max(min(low, high), 1e-12))
+    clipped = [each for each in find_data_defects(problem, result) if each.kind is DefectKind.CLIPPED]
+    if not clipped:
+        return None
+    experiments, excluded = list(problem.experiments), []
+    for each in clipped:
+        k = [one.name for one in experiments].index(each.experiment)
+        experiment, limit = experiments[k], each.values["limit"]
+        j = experiment.output_names.index(each.output)
+        near = SETTINGS.near_limit * math.sqrt(result.fit.noise_variance[each.output])
+        sign = 1.0 if limit == np.nanmax(problem.experiments[k].output_values[:, j]) else -1.0
+        beyond = (sign * (result.fit.simulated[k][:, j] - limit) > -near) & experiment.counted[:, j]
+        values = experiment.output_values[:, j].copy()
+        values[beyond] = np.nan
+        experiments[k] = replace(experiment, frame=experiment.frame.assign(**{experiment.columns[each.output]: values}))
+        excluded.append(
+            replace(each, kind=DefectKind.EXCLUDED, values={"limit": limit, "samples": float(beyond.sum())})
+        )
+    return problem.measuring(experiments), tuple(excluded)

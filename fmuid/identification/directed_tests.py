@@ -45,8 +45,7 @@ class WhitenedRows:
     def __init__(self, problem: LeastSquares, result: Result, directions: Sequence[Direction]) -> None:
         local, noise = result.fit.linearization, result.fit.noise
         assert local is not None and noise is not None, "a result from a file has neither"
-        levels = np.sqrt([result.fit.variance[name] for name in problem.output_names])[problem.groups]
-        columns = np.stack([each.column for each in directions], axis=1) / levels[:, None]
+        columns = np.stack([each.column for each in directions], axis=1) / local.levels[:, None]
         self.directions, self.problem, self.result = directions, problem, result
         self.raw = np.column_stack([local.residual, -local.jacobian, columns])
         self.prior = np.column_stack([local.prior_residual, -local.prior_jacobian])
@@ -68,6 +67,7 @@ def _response(problem: LeastSquares, result: Result, columns: Floats) -> Floats:
 
 def whitened(noise: ResidualNoise, rows: Floats) -> Floats:
     """Return uncorrelated innovations (n, k) of rows, of unit variance."""
+    rows = rows if noise.levels is None else rows / noise.levels[:, None]
     found = np.array(rows)
     for members, common in noise.grids():
         places = members[0].series.places

@@ -60,7 +60,7 @@ def model_directions(
     local = result.fit.linearization
     assert local is not None, "a result from a file has no linearization"
     theta, simulated = result.values, result.fit.simulated
-    levels = np.sqrt([result.fit.variance[name] for name in problem.output_names])[problem.groups]
+    levels = local.levels
     jacobian = -local.jacobian * levels[:, None]
     found: dict[tuple[ErrorKind, tuple[str, ...]], dict[int, _Column]] = {}
     slopes = [problem.tables(problem.unscaled(column)) for column in jacobian.T]

@@ -14,6 +14,7 @@ from fmuid.events import Progress
 from fmuid.formatting import nearest
 from fmuid.identification.acquisition_delay import include_delay
 from fmuid.identification.discrete_parameters import search_combinations
+from fmuid.identification.final_covariance import include_uneven_noise
 from fmuid.identification.problem import Problem
 from fmuid.identification.solver_check import ACCURACIES, check_solver
 from fmuid.identification.starting_points import search_starting_points
@@ -90,6 +91,6 @@ def identify(
         strategies.append(partial(check_solver, refine=solver_check == "refine"))
     found = walk(strategies, Trial(evaluator.of(problem), method, progress, start))
     if not problem.corrected:
-        found = include_delay(evaluator, found)
+        found = include_delay(evaluator, include_uneven_noise(problem.as_in(found), found))
     setup = replace(found.setup, made_with=problem.made_with, observer=problem.observer)
     return replace(found, setup=setup)

@@ -9,6 +9,7 @@ import numpy as np
 
 from fmuid.estimation import AccuracyOutcome, Doubt, Reason, Result, SearchFailure, TerminationReason, Verdict
 from fmuid.identification.assessment import Assessment, better_point
+from fmuid.identification.data_defects import DefectKind
 from fmuid.identification.model_errors import ErrorKind, ModelError, ModelErrors
 from fmuid.identification.prior_and_data import PriorDataComparison
 from fmuid.identification.prior_data_tests import Deviation
@@ -60,7 +61,9 @@ def judge(
         doubts += _of_uncertainty(assessment)
         for each in assessment.data_defects:
             subject = (each.kind.value, each.output, each.experiment)
-            doubts.append(Doubt(Reason.DATA_DEFECT, subject, each.values))
+            told = Doubt(Reason.DATA_DEFECT, subject, each.values)
+            doubts += [told] if each.kind.is_doubt else []
+            freed += [told] if each.kind is DefectKind.EXCLUDED else []
         errors = assessment.model_errors
         if errors is not None:
             rough = tuple(each for each in errors.freed if ErrorKind.DEAD_TIME in each.kinds)

@@ -331,6 +331,6 @@ def _search_data(
         return ExtrapolationReason(undetermined=data.undetermined)
     prior = problem.parameters.prior_residual(state.theta[None])[0]
     there = LinearizedProblem(
-        state.residual, state.jacobian, prior, local.prior_jacobian, magnitudes, data, local.combined
+        state.residual, state.jacobian, prior, local.prior_jacobian, local.levels, magnitudes, data, local.combined
     )
     return state.theta, there

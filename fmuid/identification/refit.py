@@ -18,6 +18,7 @@ from fmuid.data import Parameter
 from fmuid.estimation import Estimates, Evaluator, FunctionPredictions, LeastSquares, Marquardt, Result, SolverCheck
 from fmuid.events import Progress
 from fmuid.identification.acquisition_delay import include_delay
+from fmuid.identification.data_defects import DataDefect
 from fmuid.identification.directed_tests import find_model_errors, whitened
 from fmuid.identification.model_errors import DELAYS, DirectedTest, Direction, ErrorKind, ModelError, ModelErrors
 
@@ -51,11 +52,14 @@ class Refit:
         Of this problem; its last parameters are the sizes.
     found : ModelErrors or None
         Directed tests of this result.
+    excluded : tuple of DataDefect
+        Stretches of the record that do not count in it.
     """
 
     problem: LeastSquares
     result: Result
     found: ModelErrors | None
+    excluded: tuple[DataDefect, ...] = ()
 
 
 class CorrectedPredictor:
@@ -245,11 +249,10 @@ def _likelihoods(problem: LeastSquares, results: Sequence[Result]) -> Floats:
     """Return the log-likelihoods of results under one noise model."""
     spread = [[each.fit.noise_variance[name] for name in results[0].fit.noise_variance] for each in results]
     best = results[int(np.argmin(np.sum(np.log(spread), axis=1)))]
-    noise = best.fit.noise
-    assert noise is not None, "fits keep their noise model"
-    levels = np.sqrt([best.fit.variance[name] for name in problem.output_names])[problem.groups]
+    noise, local = best.fit.noise, best.fit.linearization
+    assert noise is not None and local is not None, "fits keep their noise model"
     rows = np.stack([problem.measured - problem.stacked(each.fit.simulated) for each in results], axis=1)
-    rows /= levels[:, None]
+    rows /= local.levels[:, None]
     return np.asarray(-0.5 * np.sum(whitened(noise, rows) ** 2, axis=0))
 
 

@@ -235,10 +235,15 @@ def analyze_residuals(problem: LeastSquares, result: Result) -> ResidualAnalysis
     series: list[ResidualSeries] = []
     columns = local.jacobian @ local.root
     taken = FitProjection(columns, columns.T @ columns)
+    scale = (
+        noise.levels
+        if problem.levels.scale is None
+        else problem.levels.scale * (noise.levels if noise.levels is not None else 1.0)
+    )
     for experiment, fit in zip(problem.experiments, result.fit.frames, strict=True):
         simulated = fit[[f"simulated.{output}" for output in experiment.output_names]].to_numpy(np.float64)
         models = [each for each in noise.models if each.series.experiment == experiment.name]
-        series += examine_outputs(experiment, simulated, models, taken, problem.levels.scale)
+        series += examine_outputs(experiment, simulated, models, taken, scale)
     off_grid = tuple((each.series.experiment, each.series.output) for each in noise.models if not each.series.regular)
     widening = dict(zip(result.names, result.estimates.colored_noise_factor.tolist(), strict=True))
     shares: dict[tuple[str, str, float], float] = {}

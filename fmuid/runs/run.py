@@ -17,12 +17,14 @@ from fmuid.files import WriteError
 from fmuid.identification import (
     Assessment,
     AssessmentSettings,
+    DataDefect,
     Problem,
     Refit,
     assess,
     find_model_errors,
     judge,
     refit,
+    without_clipped,
     without_sizes,
 )
 from fmuid.runs.apply import write_estimates
@@ -35,6 +37,7 @@ from fmuid.studies import BASELINE_FILE, Study
 
 # A search that took longer, s, is not repeated with the data alone without an event.
 QUICK_SECONDS = 2.0
+CLIPPED_FITS = 2  # the first model, biased by clipped samples, does not tell them all
 
 
 class SearchInterruptedError(FmuidError):
@@ -106,7 +109,15 @@ def resumed_start(path: Path, parameters: ParameterSet) -> Floats:
 
 def _freed(study: Study, problem: Problem, result: Result, progress: Progress | None) -> Refit:
     """Test the model; identify again with the errors found, where the study does not only want a report."""
-    mode, tested = study.estimation.model_error, problem.as_in(result)
+    mode, whole, excluded = study.estimation.model_error, problem, tuple[DataDefect, ...]()
+    if mode == "refit" and result.converged and study.diagnosis is None:
+        for _ in range(CLIPPED_FITS):
+            cut = without_clipped(whole, result)
+            if cut is None:
+                break
+            problem, excluded = cut
+            result = study.search(problem, progress, result.values)
+    tested = problem.as_in(result)
     found = None if mode == "off" or not at_minimum(result) else find_model_errors(tested, result)
     again = None
     # profiles, samples and diagnosis are of the model without freed errors
@@ -116,7 +127,7 @@ def _freed(study: Study, problem: Problem, result: Result, progress: Progress | 
     free = free and found is not None and found.covers_dynamics
     if free and found is not None and found.errors and all(each.is_plausible for each in found.errors):
         again = refit(tested, result, found, progress)
-    return again or Refit(problem, result, found)
+    return replace(again or Refit(problem, result, found), excluded=excluded)
 
 
 def _examined(study: Study, fitted: Refit, found: IdentificationRun, progress: Progress | None) -> IdentificationRun:
@@ -132,6 +143,7 @@ def _examined(study: Study, fitted: Refit, found: IdentificationRun, progress: P
     fits = tuple(fit_of(study.system, *each) for each in zip(study.tables, result.fit.simulated, strict=True))
     lost = {each.name: rows for each in study.tables if each.input_names and (rows := dropouts(each.times))}
     checks = assess(problem, result, asked, earlier=Assessment(asked.level, model_errors=fitted.found))
+    checks = replace(checks, data_defects=(*fitted.excluded, *checks.data_defects))
     own = without_sizes(result, len(found.result.names))
     return replace(found, result=own, fits=fits, assessment=checks, dropouts=lost)
 

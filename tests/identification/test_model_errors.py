@@ -276,12 +276,15 @@ def test_color_alone_is_no_doubt_where_the_model_was_tested() -> None:
     assert Reason.COLORED_RESIDUAL in judge(result, Assessment(residuals=checks.residuals)).reasons
 
 
+EXPERIMENT = {"data": "late.csv", "inputs": ["u"], "outputs": ["i"], "interpolation": "zoh"}
+
+
 def late_study(folder: Path, **sections: object) -> fmuid.Study:
     problem, _ = identified("half a sample late")
     problem.experiments[0].frame.to_csv(folder / "late.csv", index=False)
     content = {
         "model": {"fmu": str(COIL)},
-        "experiments": [{"data": "late.csv", "inputs": ["u"], "outputs": ["i"], "interpolation": "zoh"}],
+        "experiments": [EXPERIMENT],
         "parameters": {"R": {"start": 3.0, "min": 0.0}, "L": {"start": 0.03, "min": 1e-4}},
         "noise": {"delay_std": 0.0},
     }
@@ -340,12 +343,39 @@ def damaged(kind: str, seed: int = 0) -> tuple[Problem, Result]:
     return problem, fmuid.identify(problem)
 
 
-@pytest.mark.parametrize("kind", DefectKind)
+@pytest.mark.parametrize("kind", [each for each in DefectKind if each is not DefectKind.EXCLUDED])
 def test_defects_of_data_are_named(kind: DefectKind) -> None:
+    """Uneven noise is no doubt: σ allows for it."""
     problem, result = damaged(kind.value)
     found = find_data_defects(problem, result)
     assert kind in {each.kind for each in found}
-    assert Reason.DATA_DEFECT in judge(result, Assessment(data_defects=found)).reasons
+    assert (Reason.DATA_DEFECT in judge(result, Assessment(data_defects=found)).reasons) == kind.is_doubt
+
+
+def test_uneven_noise_has_its_own_covariance() -> None:
+    """Std in proportion to |i|: against the covariance by the true levels, and that of constant noise."""
+    _, result = damaged("uneven")
+    local, noise = result.fit.linearization, result.fit.noise
+    assert local is not None and noise is not None and noise.levels is not None
+    i = result.fit.simulated[0][:, 0]
+    true = np.abs(i) / np.sqrt(np.mean(i**2))
+    share = local.jacobian @ local.root
+    expected = local.root @ (share * true[:, None] ** 2).T @ share @ local.root.T
+    assert result.std == pytest.approx(np.sqrt(np.diag(expected)), rel=0.15)
+    assert (np.abs(np.sqrt(np.diag(expected)) / np.linalg.norm(local.root, axis=1) - 1.0) > 0.1).any()
+
+
+def test_clipped_stretches_do_not_count(tmp_path: Path) -> None:
+    """Clipped at 80 % of the range, R is far off; without these stretches it is not."""
+    problem, biased = damaged("clipped")
+    assert np.abs(biased.values[0] - R) > 4.0 * biased.std[0]
+    problem.experiments[0].frame.to_csv(tmp_path / "clipped.csv", index=False)
+    found = fmuid.run(late_study(tmp_path, experiments=[{**EXPERIMENT, "data": "clipped.csv"}]))
+    assert (np.abs(found.result.values - [R, L]) < 3.0 * found.result.std).all()
+    verdict = found.result.verdict
+    assert verdict is not None and verdict.grade is Grade.PASSED
+    assert [each.subject[0] for each in verdict.freed] == ["excluded", "excluded"]
+    assert "do not count" in str(fmuid.Document.of(found).reason)
 
 
 @pytest.mark.parametrize("scene", ["sound", "colored"])

@@ -24,6 +24,7 @@ from fmuid.estimation.noise.model import NoiseModel
 from fmuid.estimation.noise.output_series import OutputSeries
 from fmuid.estimation.noise.periodic_error import PeriodicError, returning
 from fmuid.estimation.noise.sample_grid import Rows, SampleGrid, Spectra
+from fmuid.estimation.noise.uneven import uneven_levels
 from fmuid.estimation.problem import LeastSquares
 
 if TYPE_CHECKING:
@@ -58,14 +59,18 @@ class ResidualNoise:
         Covariance S of the innovations of each grid's series.
     returning : tuple of PeriodicError
         Periodic errors.
+    levels : (n,) array or None
+        Relative std of each row where the noise is uneven.
     """
 
     models: tuple[NoiseModel, ...]
     innovations: tuple[Floats, ...]
     returning: tuple[PeriodicError, ...] = ()
+    levels: Floats | None = None
 
     def gram(self, columns: Floats) -> Floats:
         """Return XᵀΓX (k, k) of columns X (n, k)."""
+        columns = columns if self.levels is None else columns * self.levels[:, None]
         total = np.zeros((columns.shape[1], columns.shape[1]))
         for members, common in self.grids():
             spectra = Spectra.of(columns, [each.series for each in members], [each.process for each in members])
@@ -87,7 +92,9 @@ class SandwichCovariance:
     noise: ResidualNoise
 
 
-def sandwich_of(problem: LeastSquares, local: LinearizedProblem, rounding: Flags) -> SandwichCovariance:
+def sandwich_of(
+    problem: LeastSquares, local: LinearizedProblem, rounding: Flags, *, uneven: bool = False
+) -> SandwichCovariance:
     """Return the covariance of a problem's estimates under colored noise.
 
     Parameters
@@ -97,6 +104,8 @@ def sandwich_of(problem: LeastSquares, local: LinearizedProblem, rounding: Flags
         At the estimate.
     rounding : (n_outputs,) array of bool
         Outputs with nothing but rounding and simulation noise in the residual.
+    uneven : bool
+        Fit variances that follow the signal.
     """
     root, given = local.root, ~np.isnan(problem.variance)
     # the influence function of a robust loss has the residual's own scale
@@ -107,12 +116,29 @@ def sandwich_of(problem: LeastSquares, local: LinearizedProblem, rounding: Flags
         basis = local.data_basis
         residual = residual - basis @ (basis.T @ residual)
     rows = Rows(residual, basis, columns, root, own.T @ own, given, rounding)
-    found = sandwich(rows, problem.series, problem.periods)
+    found = sandwich_of_rows(problem, rows, problem.measured - local.levels * local.residual if uneven else None)
     lost = ~np.isfinite(np.diag(local.combined.covariance))
     covariance = found.covariance.copy()
     covariance[lost, :] = covariance[:, lost] = np.nan
     covariance[lost, lost] = np.inf
     return replace(found, covariance=covariance)
+
+
+def sandwich_of_rows(problem: LeastSquares, rows: Rows, simulated: Floats | None) -> SandwichCovariance:
+    """Return the covariance under the noise of rows; uneven noise has its variances fitted.
+
+    `simulated` (n,) are the outputs, which the variance may follow; None: it is constant.
+    """
+    found = sandwich(rows, problem.series, problem.periods)
+    levels = None
+    if simulated is not None and problem.loss is None and not rows.white.any():
+        levels = uneven_levels(found.noise.models, rows.residual, simulated)
+    if levels is None:
+        return found
+    basis = np.linalg.qr(rows.basis / levels[:, None])[0]
+    even = replace(rows, residual=rows.residual / levels, basis=basis, columns=rows.columns * levels[:, None])
+    again = sandwich(even, problem.series, problem.periods)
+    return replace(again, noise=replace(again.noise, levels=levels))
 
 
 def sandwich(

@@ -63,8 +63,12 @@ class DefectMessage(Message, section="residuals"):
 
     QUANTIZED = doubt("{output} has steps of {ratio:.2g} × noise level", "a coarse converter: σ does not hold")
     CLIPPED = doubt("{output} is clipped at {limit:.4g}", "the sensor's range ended: estimates are biased")
+    EXCLUDED = plain(
+        "stretches of {output} clipped at {limit:.4g} do not count",
+        "samples where the model is within 3 σ of the sensor's end",
+    )
     REPEATED = doubt("{output} repeats {share:.0%} of its samples", "a channel slower than its clock")
-    UNEVEN = doubt("noise of {output} is uneven ({factor:.2g} ×)", "it follows the signal or the time: σ does not hold")
+    UNEVEN = plain("noise of {output} is uneven ({factor:.2g} ×)", "it follows the signal or time: σ allows for it")
 
 
 class HidingMessage(Message, section="hiding"):

@@ -1,0 +1,68 @@
+"""Noise whose variance follows the signal, its slope or the time: e = D ε with a diagonal D, ε of constant variance.
+
+Koenker's test (J. Econometrics 17, 1981) of squared innovations; D² is their regression on the strongest signal.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from fmuid.array_types import Floats
+from fmuid.estimation.noise.model import NoiseModel
+
+
+@dataclass(frozen=True)
+class UnevenNoiseSettings:
+    """Numbers of the test."""
+
+    level: float = 0.01  # false alarms of all outputs together
+    least_variance: float = 0.05  # of the mean variance: a regression may become negative
+    least_samples: int = 50
+
+
+SETTINGS = UnevenNoiseSettings()
+
+
+def uneven_levels(models: Sequence[NoiseModel], residual: Floats, simulated: Floats) -> Floats | None:
+    """Return the relative std of each row (n,), None if constant.
+
+    Parameters
+    ----------
+    models : sequence of NoiseModel
+        By experiment and output.
+    residual, simulated : (n,) arrays
+        Of all counted samples.
+    """
+    found, any_uneven = np.ones(len(residual)), False
+    for each in models:
+        rows = each.series.rows
+        if not each.series.ordered or len(rows) < SETTINGS.least_samples or not np.isfinite(simulated[rows]).all():
+            continue
+        variance = _variance(each.whiten(residual[rows]) ** 2, simulated[rows], SETTINGS.level / len(models))
+        if variance is not None:
+            found[rows], any_uneven = np.sqrt(variance), True
+    return found if any_uneven else None
+
+
+def _variance(squares: Floats, signal: Floats, level: float) -> Floats | None:
+    """Return the relative variance of each sample (n,), None if constant."""
+    signal = signal / max(float(np.abs(signal).max()), 1e-300)  # squares of any unit
+    signals = (signal**2, np.gradient(signal) ** 2, np.arange(len(signal), dtype=np.float64))
+    columns = [each - each.mean() for each in signals if np.ptp(each) > 0.0]
+    centered = squares - squares.mean()
+    if not columns or not centered.any():
+        return None
+    unit = np.stack([each / np.linalg.norm(each) for each in columns], axis=1)
+    products = unit.T @ centered
+    i = int(np.argmax(np.abs(products)))
+    score = abs(float(products[i])) / math.sqrt(float(np.mean(centered**2)))
+    if 2.0 * special.ndtr(-score) * len(columns) > level:
+        return None
+    variance = squares.mean() + products[i] * unit[:, i]
+    variance = np.maximum(variance, SETTINGS.least_variance * squares.mean())
+    return np.asarray(variance / variance.mean())

@@ -1,0 +1,49 @@
+"""Covariance of a result, known better than in its search."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from fmuid.array_types import Floats
+from fmuid.estimation import AccuracyOutcome, LeastSquares, Result, sandwich_of, uneven_levels, with_shift
+
+
+def with_covariance(result: Result, covariance: Floats, white: Floats, freedom: Floats) -> Result:
+    """Return a result with another covariance; its solver error moves it by as much as before.
+
+    `white` (N, N) is the covariance under white noise, `freedom` (N,) that of the variances.
+    """
+    check = result.accuracy
+    found = replace(result.estimates, covariance=covariance, covariance_white_noise=white, variance_dof=freedom)
+    result, before = replace(result, estimates=found), std_without_shift(result)
+    if check is None:
+        return result
+    check = replace(check, shift=check.shift * before / np.sqrt(np.diag(covariance)))
+    result = replace(result, accuracy=check)
+    return with_shift(result, check) if check.outcome is AccuracyOutcome.SHIFTED else result
+
+
+def std_without_shift(result: Result) -> Floats:
+    """Return σ (N,) without the solver error."""
+    check = result.accuracy
+    if check is None or check.outcome is not AccuracyOutcome.SHIFTED:
+        return result.std
+    return np.asarray(result.std / np.sqrt(1.0 + np.nan_to_num(check.shift) ** 2))
+
+
+def include_uneven_noise(problem: LeastSquares, result: Result) -> Result:
+    """Return a result whose covariance allows for noise that follows its signal.
+
+    Not during the search: errors of a solver follow the signal, too, and would pass for its noise.
+    """
+    local = result.fit.linearization
+    if local is None or not result.converged or not result.fit.is_noisy or not np.isfinite(result.std).all():
+        return result
+    noise, simulated = result.fit.noise, problem.measured - local.levels * local.residual
+    if problem.loss is not None or noise is None or uneven_levels(noise.models, local.residual, simulated) is None:
+        return result
+    found = sandwich_of(problem, local, np.zeros(problem.counts.size, dtype=np.bool_), uneven=True)
+    fit, white = replace(result.fit, noise=found.noise), result.estimates.covariance_white_noise
+    return with_covariance(replace(result, fit=fit), found.covariance, white, found.freedom)
