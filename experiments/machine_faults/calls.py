@@ -4,12 +4,13 @@
 
 Run from the project's folder; it rewrites calls.csv and the tables "false" and "calls" in README.md, and goes on where
 it was interrupted. The records are those of machine.py, in phases; the voltages are those asked for, of which a supply
-may make a little more or less in each phase. What is compared with them are the fault models in fmus/, whose currents
-`Phases` turns into what the sensors show.
+may make a little more or less in each phase. What is compared with them are the fault models in fmus/, behind the map
+of phase signals.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -22,16 +23,19 @@ import fmuid
 from experiments import calls, pages
 from experiments.machine_faults import models
 from experiments.machine_faults.machine import BARS, TRUTH, TURNS, Condition
-from experiments.machine_faults.make_tables import SAMPLE_TIME, WARM, simulate
-from fmuid.array_types import Floats
-from fmuid.data.signals import T23
+from experiments.machine_faults.make_tables import WARM, simulate
+from fmuid.data import Angle, Observation
+from fmuid.data.signals import T23, inverse_park
 from fmuid.diagnosis import Causes
-from fmuid.diagnosis.causes import CauseKind, ChangeParameterSet, coordinates_of
+from fmuid.diagnosis.causes import ChangeParameterSet, coordinates_of
 from fmuid.diagnosis.linearized_machine import LinearizedMachine
 
 HERE = Path(__file__).parent
 STD = 0.175  # A, on each of the two phase currents: as much as on ids and iqs in make_tables.py
 SUPPLY, SENSORS = ("ua", "ub", "uc"), ("ia", "ib")
+OBSERVATION = Observation(
+    Angle(column="theta"), dict.fromkeys(("ids", "iqs"), SENSORS), dict.fromkeys(("uds", "uqs"), SUPPLY)
+)
 DRIFT = {"Rs": 1.5, "Rr": 0.6, "Lm": 0.004, "Lf": 0.0008}  # standard deviations: temperature 15 %, inductances 1 %
 
 
@@ -109,83 +113,27 @@ CASES = {
 KEYS = {name: k for k, name in enumerate(CASES)}
 
 
-# --- in phases
-
-
-def turned(theta: Floats, vectors: Floats, back: bool = False) -> Floats:
-    """Return vectors (K, 2, ...) of the rotor's axes in those of the stator, or back."""
-    shape = (-1,) + (1,) * (vectors.ndim - 2)
-    c, s = np.cos(theta).reshape(shape), np.sin(theta).reshape(shape) * (-1.0 if back else 1.0)
-    return np.stack([c * vectors[:, 0] - s * vectors[:, 1], s * vectors[:, 0] + c * vectors[:, 1]], axis=1)
-
-
-def supplied(frame: pd.DataFrame, matrix: Floats) -> pd.DataFrame:
-    """Return a table whose voltages, along the stator's two axes, are multiplied by a matrix (2, 2)."""
-    theta = frame["theta"].to_numpy()
-    still = turned(theta, frame[["uds", "uqs"]].to_numpy()) @ matrix.T
-    made = turned(theta, still, back=True)
-    return frame.assign(uds=made[:, 0], uqs=made[:, 1])
-
-
-def asymmetry(gains: Floats) -> Floats:
-    """Return what gains of the three phases do along the stator's two axes (2, 2); the star point is isolated."""
-    return np.asarray(T23 @ np.diag(1.0 + gains) @ T23.T)
-
-
 @cache
 def clean(off: Off) -> fmuid.Experiment:
-    """Return a record in phases without noise; what the models need of it goes along."""
+    """Return a record in phases without noise."""
     frame = simulate(off.machine)
-    currents = turned(frame["theta"].to_numpy(), frame[["ids", "iqs"]].to_numpy()) @ T23[:, :2]
-    asked = supplied(frame, np.asarray(np.linalg.inv(asymmetry(np.array(off.supply))), dtype=np.float64))
-    time = asked["time"].to_numpy()
+    frame = inverse_park(inverse_park(frame, ["uds", "uqs"], SUPPLY), ["ids", "iqs"], [*SENSORS, "ic"])
+    # the inverter is asked for voltages without a common part, of which each phase makes its own share
+    gains = T23 @ np.diag(1.0 + np.array(off.supply)) @ T23.T
+    frame[list(SUPPLY)] = frame[list(SUPPLY)].to_numpy() @ T23.T @ np.linalg.inv(gains).T @ T23
+    time = frame["time"].to_numpy()
     for k, name in enumerate(SENSORS):
-        late = CubicSpline(time, currents[:, k])(time - off.delay[k])
-        asked[name] = (1.0 + off.gain[k]) * late + off.offset[k] * STD
-    asked[list(SUPPLY)] = turned(asked["theta"].to_numpy(), asked[["uds", "uqs"]].to_numpy()) @ T23
-    return fmuid.Experiment(asked, SUPPLY, SENSORS)
+        late = CubicSpline(time, frame[name])(time - off.delay[k])
+        frame[name] = (1.0 + off.gain[k]) * late + off.offset[k] * STD
+    return fmuid.Experiment(frame, ["w"], observation=OBSERVATION)
 
 
-class Phases:
-    """The machine and its fault models over a record in phases."""
-
-    def __init__(self, inner: LinearizedMachine, coordinates: ChangeParameterSet, experiment: fmuid.Experiment) -> None:
-        self._inner, self._coordinates, self.experiment = inner, coordinates, experiment
-        self._count = len(inner.coordinates.each)
-
-    def linearize(self, point: Floats) -> tuple[Floats, Floats]:
-        """Return the sensors' readings (K, 2) at a point (N,), and their derivatives (K, 2, N)."""
-        own, frame = point[: self._count], self.experiment.frame
-        supply = self._coordinates.of(CauseKind.INPUT_GAIN)
-        gains, step, theta = point[supply], 1e-3, frame["theta"].to_numpy()
-
-        def phases(vectors: Floats) -> Floats:
-            return np.asarray(np.einsum("kc...,cp->kp...", turned(theta, vectors), T23[:, :2]))
-
-        def over(gains: Floats) -> LinearizedMachine:
-            return self._inner.over(rotating(supplied(frame, asymmetry(gains))))
-
-        outputs, columns = over(gains).linearize(own)
-        outputs = phases(outputs)
-        found = np.zeros((*outputs.shape, point.size))
-        found[:, :, : self._count] = phases(columns)
-        for k, i in enumerate(supply):
-            ends = [phases(over(gains + sign * step * np.eye(3)[k]).outputs(own)) for sign in (1.0, -1.0)]
-            found[:, :, i] = (ends[0] - ends[1]) / (2.0 * step)
-        for k, name in enumerate(SENSORS):
-            at = [self._coordinates.of(kind, name)[0] for kind in (CauseKind.GAIN, CauseKind.OFFSET, CauseKind.DELAY)]
-            gain, offset, delay = point[at]
-            rate = np.gradient(outputs[:, k], SAMPLE_TIME)
-            late = outputs[:, k] - delay * rate
-            found[:, k] *= 1.0 + gain
-            found[:, k, at] = np.column_stack([late, np.ones(late.size), -(1.0 + gain) * rate])
-            outputs[:, k] = (1.0 + gain) * late + offset
-        return outputs, found
-
-
-def rotating(frame: pd.DataFrame) -> fmuid.Experiment:
-    """Return a table as an experiment in the rotor's axes."""
-    return fmuid.Experiment(frame, models.INPUTS, models.OUTPUTS)
+def without(given: ChangeParameterSet, name: str) -> ChangeParameterSet:
+    """Return coordinates without one: the speed is known here."""
+    kept = [i for i, each in enumerate(given.each) if each.name != name]
+    causes = [each for each in given.causes if each.name != name]
+    moved = [replace(each, columns=tuple(kept.index(i) for i in each.columns)) for each in causes]
+    return ChangeParameterSet(tuple(given.each[i] for i in kept), tuple(moved), given.healthy[kept], given.faults)
 
 
 @cache
@@ -196,17 +144,17 @@ def setting() -> calls.Setting:
     ratios = {name: fmuid.Parameter(0.0, min=0.0, nominal=0.01) for name in models.RATIOS}
     faults["stator"] = fmuid.Fault(models.stator(), ratios, faults["stator"].variable_map, inputs={"theta": "theta"})
     sound, noise = clean(Off()), dict.fromkeys(SENSORS, STD)
-    coordinates = coordinates_of(models.healthy_machine(), nominal, faults, sound, noise, Causes())
-    turning = rotating(sound.frame)
-    own = Causes(None, None, None, None)
-    inner = coordinates_of(models.healthy_machine(), nominal, faults, turning, dict.fromkeys(models.OUTPUTS, STD), own)
-    machine = LinearizedMachine(models.healthy_machine(), {}, inner, turning)
+    lines = Causes(joint=None, dead_time=None)  # of later studies
+    coordinates = without(
+        coordinates_of(models.healthy_machine(), nominal, faults, sound, noise, lines), "input gain(w)"
+    )
+    machine = LinearizedMachine(models.healthy_machine(), {}, coordinates, sound)
     drift = np.zeros(len(coordinates.each))
     for name, std in DRIFT.items():
         drift[[each.name for each in coordinates.each].index(name)] = std
 
-    def phases(case: str, new: bool) -> Phases:
-        return Phases(machine, coordinates, clean(CASES[case].new if new else CASES[case].always))
+    def phases(case: str, new: bool) -> LinearizedMachine:
+        return machine.over(clean(CASES[case].new if new else CASES[case].always))
 
     def records(case: str, _: np.random.Generator) -> tuple[fmuid.Experiment, fmuid.Experiment]:
         return clean(CASES[case].always), clean(CASES[case].new)
