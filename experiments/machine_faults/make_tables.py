@@ -2,9 +2,9 @@
 
     python -m experiments.machine_faults.make_tables [FOLDER]
 
-writes one table a case, 0.4 MB each, to a folder (default ``tables`` beside this script). Columns: ``time`` (s);
-``uds``, ``uqs`` (V), ``w`` (electrical speed, rad/s), ``theta`` (electrical rotor angle, rad), ``ids``, ``iqs`` (A),
-in Park axes linked to the rotor.
+writes one table a case, 0.5 MB each, to a folder (default ``tables`` beside this script). Columns: ``time`` (s);
+``ua``, ``ub``, ``uc`` (V); ``w`` (electrical speed, rad/s), ``theta`` (electrical rotor angle, rad); ``ia``, ``ib``
+(A). The draws of study.py are in Park axes linked to the rotor, with noise on these.
 """
 
 from __future__ import annotations
@@ -19,12 +19,14 @@ import pandas as pd
 from scipy.signal import max_len_seq
 
 from experiments.machine_faults.machine import SPEED, SPEED_STEP, Condition, run
+from fmuid.data.signals import inverse_park
 
 SAMPLES, SAMPLE_TIME = 4500, 7e-4  # the method's own
 SUBSTEPS = 20  # Runge-Kutta steps of a sample: within 1e-6 A of four times as many
 BIT = 145  # samples, 0.1 s
 NOISE_VARIANCE = 0.0462  # A², on each of the two currents
 
+PHASES = ["ua", "ub", "uc"]
 WARM = 1.3
 SHORTED, BROKEN = (1, 2, 5, 10, 20), (1, 2, 3)
 CASES = {
@@ -61,12 +63,22 @@ def table(case: str, seed: int = 0) -> pd.DataFrame:
     return add_noise(simulate(CASES[case]), np.random.default_rng([seed, list(CASES).index(case)]))
 
 
+def sensor_table(case: str, seed: int = 0) -> pd.DataFrame:
+    """Return what a drive records of a case: voltages of the phases, and two noisy current sensors."""
+    frame = inverse_park(
+        inverse_park(simulate(CASES[case]), ["uds", "uqs"], PHASES), ["ids", "iqs"], ["ia", "ib", "ic"]
+    )
+    rng = np.random.default_rng([seed, list(CASES).index(case), 2])
+    frame[["ia", "ib"]] += rng.normal(scale=sqrt(NOISE_VARIANCE), size=(len(frame), 2))
+    return frame[["time", *PHASES, "w", "theta", "ia", "ib"]]
+
+
 def main() -> None:
     """Write all tables."""
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).with_name("tables")
     folder.mkdir(parents=True, exist_ok=True)
     for case in CASES:
-        table(case).to_csv(folder / f"{case}.csv", index=False, float_format="%.9g", lineterminator="\n")
+        sensor_table(case).to_csv(folder / f"{case}.csv", index=False, float_format="%.9g", lineterminator="\n")
     print(f"{len(CASES)} tables in {folder}")
 
 

@@ -1,6 +1,5 @@
 """The machine in its windings that makes the tables of machine faults, and what is found in some of them."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,9 +12,8 @@ import pytest
 import fmuid
 from experiments.machine_faults import machine, make_tables, models, onsets, study
 from experiments.machine_faults.machine import BARS, COILS, TRUTH, TURNS, Condition
-from fmuid.codec import as_json
 from fmuid.data.signals import T23
-from tests.support.results import RESULT
+from tests.support.running import run_study
 
 Array = npt.NDArray[np.floating]
 
@@ -168,17 +166,16 @@ def test_the_fault_is_found(drawn: Callable[[str], dict[str, Any]], case: str, v
 
 
 @pytest.mark.slow
-def test_the_study_names_the_phase(known: fmuid.Baseline, tmp_path: Path) -> None:
-    """The page's study file, with the table of five turns of phase b."""
+def test_the_study_names_the_phase(tmp_path: Path) -> None:
+    """The page's study files, with the sensors of five turns of phase b."""
     folder = tmp_path / "experiments" / "machine_faults"
     (folder / "tables").mkdir(parents=True)
-    make_tables.table("stator_b5").to_csv(folder / "tables" / "stator_b5.csv", index=False)
-    (folder / "results" / "healthy").mkdir(parents=True)
-    (folder / "results" / "healthy" / "result.json").write_text(
-        json.dumps(RESULT | as_json(known.result)), encoding="utf-8"
-    )
-    text = study.HERE.joinpath("study.toml").read_text(encoding="utf-8")
-    (folder / "study.toml").write_text(text.replace("../../fmus", models.FMUS.as_posix()), encoding="utf-8")
+    for case in ("healthy", "stator_b5"):
+        make_tables.sensor_table(case).to_csv(folder / "tables" / f"{case}.csv", index=False)
+    for name in ("healthy", "study"):
+        text = study.HERE.joinpath(f"{name}.toml").read_text(encoding="utf-8")
+        (folder / f"{name}.toml").write_text(text.replace("../../fmus", models.FMUS.as_posix()), encoding="utf-8")
+    run_study(folder / "healthy.toml", folder / "results" / "healthy")
     found = fmuid.Study.read(folder / "study.toml").diagnose()
     assert study.verdict(found) == "stator b"
     assert found["stator.fault.eta_b"].value * TURNS == pytest.approx(5.0, abs=3.0)
