@@ -19,7 +19,9 @@ from fmuid.data import Experiment, Noise, Parameter, read_arrays, write_arrays
 from fmuid.diagnosis.causes import ChangeParameterSet
 from fmuid.diagnosis.faults import common_mode
 from fmuid.diagnosis.information_matrix import InformationMatrix, Whitening
+from fmuid.diagnosis.operating_points import OperatingPoints
 from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUAL
+from fmuid.diagnosis.unexplained_residual import HealthyStructure
 from fmuid.errors import InputError
 from fmuid.estimation import OutputNoise, Result
 from fmuid.identification import refinement_of
@@ -106,7 +108,8 @@ class StoredBaseline:
     """Sums of healthy records, kept in ``baseline.npz``."""
 
     said: tuple[InformationMatrix, ...]  # of each record, on all coordinates and relative to the healthy ones
-    owed: InformationMatrix  # regression of the residuals on the inputs
+    structure: HealthyStructure
+    points: OperatingPoints
     whitening: Whitening
     subject: MachineDigest | None = None
     path: Path | None = None  # the file that it was read from
@@ -114,13 +117,15 @@ class StoredBaseline:
     def write(self, path: Path) -> Path:
         """Write ``baseline.npz`` and return its path."""
         assert self.subject is not None
-        text = as_json(_Description(self.subject, self.whitening.models))
+        how = self.structure
+        text = as_json(_Description(self.subject, self.whitening.models, how.groups, how.samples, self.points.names))
         arrays = {
             "text": np.frombuffer(json.dumps(text).encode(), np.uint8),
             "matrices": np.array([each.matrix for each in self.said]),
             "scores": np.array([each.score for each in self.said]),
-            "owed": self.owed.matrix,
-            "owed_score": self.owed.score,
+            "structure": np.array([each.matrix for each in self.structure.records]),
+            "structure_scores": np.array([each.score for each in self.structure.records]),
+            "points": self.points.values,
         }
         return write_arrays(path, arrays)
 
@@ -131,12 +136,15 @@ class StoredBaseline:
             sums = read_arrays(path)
             text = from_json(_Description, json.loads(sums.pop("text").tobytes()))
             said = tuple(map(InformationMatrix, sums["matrices"], sums["scores"]))
-            owed = InformationMatrix(sums["owed"], sums["owed_score"])
-            return cls(said, owed, Whitening(text.noise), text.of, path)
+            parts = tuple(map(InformationMatrix, sums["structure"], sums["structure_scores"]))
+            structure = HealthyStructure(text.groups, parts, text.samples)
+            points = OperatingPoints(text.points, sums["points"])
+            return cls(said, structure, points, Whitening(text.noise), text.of, path)
         except (KeyError, ValueError, TypeError) as error:
             if needed:
                 raise InputError(f"{path}: no complete file of fmuid identify ({error}). {REMEDY}") from None
-            return cls((), InformationMatrix(np.zeros((0, 0)), np.zeros(0)), Whitening({}), None, path)
+            none = HealthyStructure({}, (), 0), OperatingPoints((), np.zeros((0, 0)))
+            return cls((), *none, Whitening({}), None, path)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +153,9 @@ class _Description:
 
     of: MachineDigest
     noise: Mapping[str, OutputNoise]
+    groups: Mapping[str, tuple[int, ...]]
+    samples: int
+    points: tuple[str, ...]
 
 
 def _model(system: System) -> Any:

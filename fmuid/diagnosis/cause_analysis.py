@@ -10,22 +10,26 @@ from functools import cached_property
 import numpy as np
 
 from fmuid.array_types import Floats
+from fmuid.data import Experiment
 from fmuid.diagnosis.baseline import BaselineSource, StoredBaseline
 from fmuid.diagnosis.cause_ranking import CauseRanking, name
 from fmuid.diagnosis.cause_results import ChangeEvidence, explanations, score
-from fmuid.diagnosis.causes import Cause, ChangeParameterSet
+from fmuid.diagnosis.causes import Cause, CauseKind, ChangeParameterSet
 from fmuid.diagnosis.change_detection import MinPDistribution, fit
 from fmuid.diagnosis.information_matrix import ChangePrior, InformationMatrix, ScoreStatistics, Whitening, is_determined
 from fmuid.diagnosis.linearized_machine import LinearizedMachine, residual_and_columns, residual_of
+from fmuid.diagnosis.operating_points import OperatingPoints
+from fmuid.diagnosis.population import Population, Scales, tempered
 from fmuid.diagnosis.rule import MODEL_ERROR
 from fmuid.diagnosis.unexplained_residual import (
     NOTHING_LEFT,
+    HealthyStructure,
     UnexplainedResidual,
-    change,
     lagged,
-    probability,
     regression,
+    signal_sizes,
 )
+from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUAL
 from fmuid.errors import SimulationError
 from fmuid.estimation import output_noise
 
@@ -36,6 +40,7 @@ class AnalysisSettings:
 
     null_steps: int = 2  # linearizations at the estimate without causes
     name_steps: int = 4  # linearizations at the cause named; an alternating name ends there, too
+    farthest: float = 0.3  # magnitudes of a coordinate in one step without causes
     settled: float = 0.1  # standard deviations; sizes that move by less have settled
     tolerated: float = 3.0  # the largest error of known faults over κ: three standard deviations
 
@@ -49,7 +54,8 @@ class Linearization:
 
     point: Floats  # (N,)
     said: InformationMatrix  # on all coordinates, relative to the healthy ones
-    news: ScoreStatistics
+    raw: ScoreStatistics
+    news: ScoreStatistics  # the same, tempered by the scatter of healthy records
     causes: tuple[Cause, ...]  # those that the records determine beside all that may change
     whitening: Whitening
 
@@ -73,8 +79,10 @@ class BaselineStatistics:
     known: ChangePrior  # of all coordinates, relative to the healthy ones
     whitening: Whitening
     drift: Floats  # (N,) standard deviation of changes that are no fault
-    owed: InformationMatrix | None = None  # regression of healthy residuals on the inputs; None without records
+    structure: HealthyStructure | None = None  # of healthy residuals; None without records
     basis: BaselineSource = BaselineSource.RESULT
+    population: Population | None = None
+    points: OperatingPoints | None = None
 
     @classmethod
     def of(
@@ -85,8 +93,9 @@ class BaselineStatistics:
         basis: BaselineSource = BaselineSource.RECORDS,
     ) -> BaselineStatistics:
         """Return the statistics of healthy records."""
-        known = ChangePrior.after_several(shown.said, coordinates.normal)
-        return cls(known, shown.whitening, drift, shown.owed, basis)
+        scales = Scales(coordinates.normal, drift, coordinates.scatter)
+        population = tempered(Population.of(shown.said, scales), shown.said, scales)
+        return cls(population.known, shown.whitening, drift, shown.structure, basis, population, shown.points)
 
 
 def shown_by(
@@ -94,7 +103,11 @@ def shown_by(
 ) -> StoredBaseline:
     """Return the sums of healthy records, at least one."""
     said = [_information(machine, whitening, coordinates.healthy, coordinates.healthy) for machine in records]
-    return StoredBaseline(tuple(said), _owed(records, whitening, coordinates.healthy), whitening)
+    parts = tuple(_structure([machine], whitening, coordinates.healthy) for machine in records)
+    samples = sum(int(np.count_nonzero(machine.experiment.counted)) for machine in records)
+    structure = HealthyStructure(_groups(records[0].experiment, coordinates), parts, samples)
+    points = OperatingPoints.of([machine.experiment for machine in records])
+    return StoredBaseline(tuple(said), structure, points, whitening)
 
 
 def examine(
@@ -108,7 +121,7 @@ def examine(
     work = _CauseAnalyzer(machines, healthy, coordinates, level, model_error)
     at = work.at(coordinates.healthy)
     for _ in range(SETTINGS.null_steps):
-        at = work.at(coordinates.healthy + work.null(at.news))
+        at = work.at(work.toward(at.point, coordinates.healthy + work.null(at.raw)))
     chance, null, steady = MinPDistribution.of(at.news, at.causes), at.point, True
     naming = name(at.news, at.causes, level, chance=chance, model_error=model_error)
     if naming.named:
@@ -164,9 +177,15 @@ class _CauseAnalyzer:
         whitening, healthy = self.healthy.whitening, self.coordinates.healthy
         first, *others = (_information(machine, whitening, point, healthy) for machine in self.machines)
         said = sum(others, start=first)
-        news = ScoreStatistics.of(said, self.known)
+        raw, population = ScoreStatistics.of(said, self.known), self.healthy.population
+        news = raw if population is None else population.judged(raw)
         causes = (each for each in self.coordinates.causes if is_determined(news, said, each.columns))
-        return Linearization(point, said, news, tuple(causes), whitening)
+        return Linearization(point, said, raw, news, tuple(causes), whitening)
+
+    def toward(self, start: Floats, target: Floats) -> Floats:
+        """Return a point toward a target, no farther than linear models hold."""
+        far = float(np.max(np.abs(target - start) / self.coordinates.magnitude))
+        return start + min(1.0, SETTINGS.farthest / max(far, SETTINGS.farthest)) * (target - start)
 
     def null(self, news: ScoreStatistics, new: Floats | None = None) -> Floats:
         """Return all coordinates beside new changes (N,), relative to the healthy ones."""
@@ -179,9 +198,9 @@ class _CauseAnalyzer:
         if naming.named:
             columns, spread = naming.named[0].columns, naming.named[0].fit.covariance
             new[columns] = naming.named[0].fit.sizes
-        shared = self.known.covariance @ at.news.information[:, columns]
+        shared = self.known.covariance @ at.raw.information[:, columns]
         covariance = self.known.after_also(at.said).covariance
-        return ChangePrior(self.null(at.news, new), covariance + shared @ spread @ shared.T)
+        return ChangePrior(self.null(at.raw, new), covariance + shared @ spread @ shared.T)
 
     def variance(self, point: Floats) -> float:
         """Return the residual variance at a point over the noise variance."""
@@ -194,11 +213,9 @@ class _CauseAnalyzer:
 
     def remainder(self, at: Linearization, naming: CauseRanking) -> UnexplainedResidual:
         """Return the change of the regression on inputs, beside all causes."""
-        if self.healthy.owed is None:
+        if self.healthy.structure is None:
             return NOTHING_LEFT
-        statistic, degrees = change(self.healthy.owed, _owed(self.machines, self.healthy.whitening, at.point))
-        statistic /= naming.temper
-        return UnexplainedResidual(statistic, degrees, probability(statistic, degrees))
+        return self.healthy.structure.test(_structure(self.machines, at.whitening, at.point), naming.temper)
 
     def settled(
         self, naming: CauseRanking, at: Linearization, chance: MinPDistribution
@@ -210,7 +227,7 @@ class _CauseAnalyzer:
             new = np.zeros(at.point.size)
             new[best.columns] = best.fit.sizes
             try:
-                there = self.at(self.coordinates.healthy + self.null(at.news, new) + new)
+                there = self.at(self.coordinates.healthy + self.null(at.raw, new) + new)
             except SimulationError:  # too large a step for the model: what was reached before stays
                 break
             found = name(there.news, there.causes, self.level, chance=chance, model_error=self.model_error)
@@ -231,8 +248,22 @@ def _information(machine: LinearizedMachine, whitening: Whitening, point: Floats
     return InformationMatrix.of(white[:, 1:], white[:, 0] + white[:, 1:] @ (point - healthy))
 
 
-def _owed(machines: Sequence[LinearizedMachine], whitening: Whitening, point: Floats) -> InformationMatrix:
-    """Return the regression of residuals on earlier inputs at a point (N,)."""
+def _groups(experiment: Experiment, coordinates: ChangeParameterSet) -> dict[str, tuple[int, ...]]:
+    """Return the columns of each group of `_structure`."""
+    count = 1 + (len(UNEXPLAINED_RESIDUAL.spans) - 1) * len(experiment.input_names)
+    found, first = {}, 0
+    for output in experiment.output_names:
+        found[f"inputs to {output}"] = tuple(range(first, first + count))
+        first += count
+    parameters = len(coordinates.of(CauseKind.PARAMETER))
+    for signal in (*experiment.input_names, *experiment.output_names):
+        found[f"parameters by {signal}"] = tuple(range(first, first + parameters))
+        first += parameters
+    return found
+
+
+def _structure(machines: Sequence[LinearizedMachine], whitening: Whitening, point: Floats) -> InformationMatrix:
+    """Return the information of all groups beside all coordinates."""
     first, *others = (_regressed(machine, whitening, point) for machine in machines)
     return sum(others, start=first)
 
@@ -240,14 +271,18 @@ def _owed(machines: Sequence[LinearizedMachine], whitening: Whitening, point: Fl
 def _regressed(machine: LinearizedMachine, whitening: Whitening, point: Floats) -> InformationMatrix:
     experiment = machine.experiment
     inputs, own_columns = lagged(experiment.input_values), residual_and_columns(machine, point)
+    sizes = signal_sizes(np.hstack([experiment.input_values, machine.linearize(point)[0]]))
+    varying = own_columns[:, :, [1 + i for i in machine.coordinates.of(CauseKind.PARAMETER)]]
+    varying = (varying[:, :, None, :] * sizes[:, None, :, None]).reshape(*varying.shape[:2], -1)
     (rows, outputs, n), count = own_columns.shape, inputs.shape[1]
     beside = np.broadcast_to(inputs[:, None, :], (rows, outputs, count))
-    whole = np.concatenate([own_columns, beside], axis=2)
+    whole = np.concatenate([own_columns, beside, varying], axis=2)
     there = np.flatnonzero(experiment.counted.any(axis=0)).tolist()
     white = [values for _, values in whitening.of_outputs(experiment, whole)]
-    own = [np.zeros((len(values), count * outputs)) for values in white]
+    own = [np.zeros((len(values), count * outputs + varying.shape[2])) for values in white]
     for j, values, mine in zip(there, white, own, strict=True):  # each output has coefficients of its own
-        mine[:, j * count : (j + 1) * count] = values[:, n:]
+        mine[:, j * count : (j + 1) * count] = values[:, n : n + count]
+        mine[:, count * outputs :] = values[:, n + count :]
     every = np.vstack([values[:, :n] for values in white])
     return regression(every[:, 0], np.vstack(own), every[:, 1:])
 

@@ -22,6 +22,7 @@ class RankingSettings:
     """Numbers of the ranking."""
 
     odds: float = 20.0  # of the best cause over those named beside it: strong evidence (Kass and Raftery, section 3.2)
+    scales: tuple[float, ...] = (1.0, 3.0, 10.0)  # of errors of sensors and supply, each rarer by itself
     excluded: float = 0.9  # share of records in which a rival must be excluded so
     own_share: float = 0.25  # of κ in a fault's size: 0.04 to 0.4 in experiments/machine_faults
     hopeless: float = 30.0  # statistic below the best pair's from which a pair cannot come within the odds
@@ -75,7 +76,7 @@ def name(
     if not causes:
         return CauseRanking(1.0, False)
     chance = chance or MinPDistribution.of(news, causes)
-    smallest = min(probability(fit(news, (cause,)).statistic, cause) for cause in causes)
+    smallest = min(probability(fit(news, (cause,)).statistic, cause, news) for cause in causes)
     adjusted = chance.adjusted(smallest)
     if smallest > chance.limit(level):
         return CauseRanking(adjusted, False)
@@ -158,7 +159,20 @@ def estimate_sizes(news: ScoreStatistics, causes: Sequence[Cause], model_error: 
 def log_bayes_factor(news: ScoreStatistics, causes: Sequence[Cause]) -> float:
     """Return the log Bayes factor of some causes against no change.
 
-    Sizes are N(0, size²): ½ hᵀ(F + τ⁻²)⁻¹h − ½ ln|I + τFτ|, half-normal with known signs.
+    Errors of sensors and supply may be far larger than usual: their slab is a mixture of scales.
+    """
+    if not any(cause.heavy for cause in causes):
+        return _log_bayes_factor(news, causes)
+    scales = np.array(SETTINGS.scales)
+    scaled = ([replace(c, size=scale * c.size) if c.heavy else c for c in causes] for scale in SETTINGS.scales)
+    found = np.array([_log_bayes_factor(news, each) for each in scaled])
+    return float(special.logsumexp(found, b=scales**-1.0 / np.sum(scales**-1.0)))
+
+
+def _log_bayes_factor(news: ScoreStatistics, causes: Sequence[Cause]) -> float:
+    """Return the log Bayes factor of sizes N(0, τ²) with known signs.
+
+    It is ½ hᵀ(F + τ⁻²)⁻¹h − ½ ln|I + τFτ|.
     """
     columns = [i for cause in causes for i in cause.columns]
     slab = np.array([cause.size for cause in causes for _ in cause.columns])

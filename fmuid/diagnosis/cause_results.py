@@ -212,4 +212,4 @@ def score(
     alone = fit(news, (cause,))
     (change,) = changes((cause,), alone, coordinates)
     near = nearest_cause(news, cause, [other for other in determined if other is not cause])
-    return CauseScore(change, alone.statistic, probability(alone.statistic, cause), *near)
+    return CauseScore(change, alone.statistic, probability(alone.statistic, cause, news), *near)

@@ -29,6 +29,8 @@ class CauseSettings:
     probability: float = 0.01  # of a cause before any measurement: one record in a hundred
     sound_share: float = 0.1  # of its nominal that a fault's size may have in a sound machine
     difference_step: float = 1e-3  # of derivatives, as a share of a coordinate's magnitude
+    scatter_share: float = 0.02  # of healthy_std, between operating points before any healthy record ...
+    parameter_scatter: float = 2e-3  # ... of a healthy parameter, as a share of its magnitude
     open: float = 1e3  # magnitudes of a healthy parameter before any record: any record tells more
 
 
@@ -45,6 +47,7 @@ class Cause:
     sign: int = 0  # 1 or -1 for a size of one sign only
     probability: float = SETTINGS.probability  # before any measurement
     modelled: bool = True  # its signature is that of a fault model, which may be wrong
+    heavy: bool = False  # an error of a sensor or the supply, which may be far larger than usual
 
 
 class CauseKind(Enum):
@@ -67,6 +70,7 @@ class CauseKind(Enum):
 
 SENSOR_KINDS = (CauseKind.GAIN, CauseKind.OFFSET, CauseKind.DELAY)
 LINE_KINDS = (CauseKind.JOINT, CauseKind.DEAD_TIME)
+ERROR_KINDS = (*SENSOR_KINDS, CauseKind.INPUT_GAIN)
 
 
 @dataclass(frozen=True)
@@ -158,6 +162,15 @@ class ChangeParameterSet:
         return np.array([each.normal for each in self.each])
 
     @property
+    def scatter(self) -> Floats:
+        """Scatter of each coordinate between operating points, before any record (N,)."""
+        shares = {
+            CauseKind.PARAMETER: SETTINGS.parameter_scatter / SETTINGS.open,
+            CauseKind.FAULT: SETTINGS.sound_share,
+        }
+        return np.array([shares.get(each.kind, SETTINGS.scatter_share) * each.normal for each in self.each])
+
+    @property
     def magnitude(self) -> Floats:
         """Change of each coordinate (N,) that makes its linear model wrong."""
         known = {CauseKind.OFFSET: math.inf, CauseKind.DELAY: math.inf, CauseKind.GAIN: 1.0, CauseKind.INPUT_GAIN: 1.0}
@@ -202,7 +215,17 @@ def coordinates_of(
         new = [of, replace(of, second=True)] if plane else [of]
         if size is not None:
             columns = tuple(range(len(each), len(each) + len(new)))
-            found.append(Cause(of.name, columns, size, sign, modelled=of.kind is CauseKind.FAULT))
+            found.append(
+                Cause(
+                    of.name,
+                    columns,
+                    size,
+                    sign,
+                    SETTINGS.probability,
+                    of.kind is CauseKind.FAULT,
+                    of.kind in ERROR_KINDS,
+                )
+            )
         each.extend(new)
         healthy.extend([start] * len(new))
 

@@ -117,11 +117,9 @@ def fit(news: ScoreStatistics, causes: Sequence[Cause]) -> CauseFit:
     return best
 
 
-def probability(statistic: float, cause: Cause) -> float:
-    """Return the probability of a statistic without the cause: χ²_k, half of χ²_1 if its sign is known."""
-    if statistic <= 0:
-        return 1.0
-    return float(special.chdtrc(len(cause.columns), statistic)) * (0.5 if cause.sign else 1.0)
+def probability(statistic: float, cause: Cause, news: ScoreStatistics) -> float:
+    """Return the probability of a statistic without the cause."""
+    return 1.0 if statistic <= 0 else news.tail(statistic, cause.columns) * (0.5 if cause.sign else 1.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -167,7 +167,7 @@ def _unexplained(evidence: ChangeEvidence, found: Examination, freedom: float, l
         share = sum(map(noise.independent_share, noise.models)) / len(noise.models)
         return VarianceRatio.of(evidence.ratio, share * evidence.samples, share * freedom, level)
     p = evidence.remainder.probability
-    return VarianceRatio(evidence.ratio, p, p < UNEXPLAINED_RESIDUAL.level_share * level)
+    return VarianceRatio(evidence.ratio, p, p < UNEXPLAINED_RESIDUAL.structure_share * level)
 
 
 def _deviation(found: Examination) -> BaselineDeviation | None:

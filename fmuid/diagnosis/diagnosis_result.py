@@ -112,7 +112,8 @@ class Diagnosis(PlotMixin):
         ``"fault"``, ``"other"`` (a sensor, the supply or a parameter), ``"ambiguous"``, ``"unexplained"``,
         ``"undecided"`` (a fault is not identifiable) or ``"healthy"``.
         """
-        if self.unexplained.larger and self.evidence.explained < EXPLAINED_SHARE:
+        known = self.evidence.basis.alone and self.evidence.explained >= EXPLAINED_SHARE
+        if self.unexplained.larger and not known:
             return "unexplained"
         if self.evidence.alarm:
             if len(self.evidence.explanations) > 1:

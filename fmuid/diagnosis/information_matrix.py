@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
+from scipy import special
 
 from fmuid.array_types import Floats, Indices
 from fmuid.data import Experiment
@@ -102,22 +103,6 @@ class ChangePrior:
         covariance = (inverse + inverse.T) / 2.0 * np.outer(normal, normal)
         return cls(covariance @ record.score, covariance)
 
-    @classmethod
-    def after_several(cls, records: Sequence[InformationMatrix], normal: Floats) -> ChangePrior:
-        """Return the distribution after healthy records, with the healthy model's error.
-
-        The error is the positive part of cov(m_i) − mean C_i in the metric of mean C, once more for the new record.
-        """
-        if len(records) < 4:  # from four records on (K − 1)/(K − 3) is finite, the variance of their t distribution
-            return cls.after(sum(records[1:], start=records[0]), normal)
-        each = [cls.after(record, normal) for record in records]
-        means = np.array([known.mean for known in each])
-        inside = np.mean([known.covariance for known in each], axis=0)
-        excess = _excess(np.cov(means.T), inside)
-        k = len(records)
-        shown = inside / k + excess * (1.0 + 1.0 / k) * (k - 1.0) / (k - 3.0)
-        return cls(means.mean(axis=0), shown)
-
     def after_also(self, record: InformationMatrix) -> ChangePrior:
         """Return the distribution after one more record; certain coordinates stay so."""
         left = np.linalg.inv(np.eye(self.mean.size) + record.matrix @ self.covariance)
@@ -130,21 +115,14 @@ class ChangePrior:
         return ChangePrior(self.mean, self.covariance + np.diag(std**2))
 
 
-def _excess(scatter: Floats, inside: Floats) -> Floats:
-    """Return the positive part of scatter − inside, metric of the latter."""
-    std = np.sqrt(np.diag(inside))
-    scale = np.outer(std, std)
-    values, vectors = scipy.linalg.eigh(scatter / scale, inside / scale)
-    root = (inside / scale) @ vectors  # the inverse transpose of the vectors, which are orthonormal in that metric
-    return np.asarray((root * np.maximum(values - 1.0, 0.0)) @ root.T * scale)
-
-
 @dataclass(frozen=True, eq=False)
 class ScoreStatistics:
     """Information and score of changes in a record."""
 
     information: Floats  # (N, N), F
     score: Floats  # (N,), h; its covariance is F without changes
+    excess: Floats | None = None  # (N, N), part of the prior's covariance that is known from few records ...
+    freedom: float = math.inf  # ... with these degrees of freedom
 
     @classmethod
     def of(cls, record: InformationMatrix, known: ChangePrior) -> ScoreStatistics:
@@ -159,7 +137,18 @@ class ScoreStatistics:
 
     def tempered(self, factor: float) -> ScoreStatistics:
         """Return the statistics for variances larger by a factor: the models' error."""
-        return ScoreStatistics(self.information / factor, self.score / factor)
+        return replace(self, information=self.information / factor, score=self.score / factor)
+
+    def tail(self, statistic: float, columns: Sequence[int]) -> float:
+        """Return the probability of a larger statistic of some coordinates by chance: χ², or F (Satterthwaite)."""
+        count, freedom = len(columns), math.inf
+        if self.excess is not None:
+            along, (own, _) = self.information[:, list(columns)], self.part(columns)
+            share = float(np.trace(np.linalg.solve(own, along.T @ self.excess @ along))) / count
+            freedom = self.freedom / max(share, 1e-3) ** 2
+        if freedom > 1e7:
+            return float(special.chdtrc(count, statistic))
+        return float(special.fdtrc(count, freedom, statistic / count))
 
     def part(self, columns: Sequence[int]) -> tuple[Floats, Floats]:
         """Return information and score of some coordinates, the others unchanged."""

@@ -121,24 +121,30 @@ TURNS, NONE = [(CauseKind.FAULT, "dR")], Causes(None, None, None, None, None)
 @pytest.mark.parametrize(
     ("off", "first"),
     [
-        ({"turns": 1.0, "R": 1.0}, TURNS),
+        ({"turns": 1.0}, TURNS),
         ({"offset": NOISE / 2}, [(CauseKind.OFFSET, "i")]),
         ({"delay": 1e-3}, [(CauseKind.DELAY, "i")]),
     ],
-    ids=["turns, warm", "offset", "delay"],
+    ids=["turns", "offset", "delay"],
 )
 def test_a_change_is_named(look: Look, off: dict[str, float], first: list[tuple[CauseKind, str]]) -> None:
-    """An offset of half a standard deviation of the noise is found; a late sensor is no loss of turns."""
+    """An offset of half a standard deviation of the noise is found; a late sensor is no loss of turns.
+
+    A gain error of 20 % looks nearly like 1 Ω of turns in this record, as R may drift: it is named, too.
+    """
     found = look(1, **off)
-    assert names(found) == [first]
-    assert found.kind == ("fault" if "turns" in off else "other")
+    gain = [[(CauseKind.GAIN, "i")], [(CauseKind.INPUT_GAIN, "u")]] if "turns" in off else []
+    assert sorted(names(found), key=str) == sorted([first, *gain], key=str)
+    assert found.kind == ("ambiguous" if "turns" in off else "other")
     assert found.evidence.steady
     assert found.evidence.remainder.probability > 0.01
-    change = found.evidence.explanations[0].changes[0]
+    change = next(
+        one.changes[0] for one, own in zip(found.evidence.explanations, names(found), strict=True) if own == first
+    )
     assert abs(change.value - off[next(iter(off))]) < 3 * change.std
     low, high = change.interval()
     assert low < change.value < high
-    assert ("FAULT: turns" if "turns" in off else "CHANGE without fault") in verdict(found).text
+    assert ("indistinguishable: " if "turns" in off else "CHANGE without fault") in verdict(found).text
 
 
 def test_similar_causes_are_named_together(look: Look) -> None:

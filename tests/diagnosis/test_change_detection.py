@@ -39,7 +39,7 @@ def test_log_tail(degrees: int) -> None:
     near, far = log_tail(np.array([40.0, 4000.0]), degrees)
     assert near == pytest.approx(stats.chi2.logsf(40.0, degrees))
     assert far == pytest.approx(-2000.0, abs=6.0)
-    assert [probability(d, SIGNED[0]) for d in (0.0, 4.0)] == pytest.approx([1.0, special.ndtr(-2.0)])
+    assert [probability(d, SIGNED[0], news(0)) for d in (0.0, 4.0)] == pytest.approx([1.0, special.ndtr(-2.0)])
 
 
 @pytest.mark.parametrize(
