@@ -58,6 +58,9 @@ from .residual_analysis import ResidualAnalysis as ResidualAnalysis
 from .residual_analysis import ResidualDefect as ResidualDefect
 from .residual_analysis import ResidualFinding as ResidualFinding
 from .residual_analysis import analyze_residuals as analyze_residuals
+from .residual_location import ResidualStretch as ResidualStretch
+from .residual_location import residual_stretch as residual_stretch
+from .residual_location import squared_residual as squared_residual
 from .residual_series import RESIDUAL_SETTINGS as RESIDUAL_SETTINGS
 from .residual_series import ResidualSeries as ResidualSeries
 from .sampler import sample_posterior as sample_posterior

@@ -126,7 +126,7 @@ class Prediction:
 
     @property
     def table(self) -> pd.DataFrame:
-        """Time (s); measured, simulated, std, lower and upper of each output."""
+        """Time (s); measured, simulated, std, lower and upper of each output; inputs."""
         columns: dict[str, Floats] = {"time": self.fit.times}
         for j, output in enumerate(self.fit.outputs):
             simulated, half = self.fit.simulated[:, j], self.half_width[:, j]
@@ -137,7 +137,7 @@ class Prediction:
                 f"lower.{output}": simulated - half,
                 f"upper.{output}": simulated + half,
             }
-        return pd.DataFrame(columns)
+        return pd.DataFrame(columns | self.fit.input_columns)
 
 
 @single_threaded

@@ -13,7 +13,7 @@ import pandas as pd
 from fmuid.codec import Layout
 from fmuid.display_mixins import PlotMixin
 from fmuid.estimation import Result, TerminationReason, Verdict, optima_table
-from fmuid.identification import Assessment
+from fmuid.identification import Assessment, ResidualStretch, residual_stretch
 from fmuid.simulation import OutputFit
 
 if TYPE_CHECKING:
@@ -135,7 +135,7 @@ class IdentificationRun(PlotMixin):
     prepared: tuple[PreprocessedTable, ...] = ()
     dropouts: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
-    json_layout: ClassVar = Layout(omitted={"files"}, inlined={"result"}, derived=("intervals",))
+    json_layout: ClassVar = Layout(omitted={"files"}, inlined={"result"}, derived=("intervals", "residual_stretches"))
 
     def __repr__(self) -> str:
         return f"Findings({self.result!r})"
@@ -158,6 +158,12 @@ class IdentificationRun(PlotMixin):
             str(kind): {str(name): (float(low), float(high)) for name, low, high in table[kind].itertuples()}
             for kind in dict.fromkeys(table.columns.get_level_values(0))
         }
+
+    @property
+    def residual_stretches(self) -> tuple[ResidualStretch, ...]:
+        """Short stretches of experiments with half of the squared residual."""
+        found = map(residual_stretch, self.fits)
+        return tuple(each for each in found if each is not None)
 
     @property
     def estimates(self) -> pd.DataFrame:

@@ -121,14 +121,18 @@ def _fill_fits(fits: Sequence[dict[str, Any]], whole: pd.DataFrame) -> list[pd.D
     parts = [whole[whole["experiment"] == each["experiment"]] for each in fits] if len(fits) > 1 else [whole]
     for each, part in zip(fits, parts, strict=True):
         each["times"] = part["time"].to_numpy(np.float64)
-        each["measured"], each["simulated"] = _values(part, "measured", each), _values(part, "simulated", each)
+        each["measured"], each["simulated"] = (
+            _values(part, kind, each["outputs"]) for kind in ("measured", "simulated")
+        )
+        if inputs := each.get("inputs"):
+            inputs["values"] = _values(part, "input", inputs["names"])
         first = math.inf if each["counted_from"] is None else each["counted_from"]
         each["counted"] = np.isfinite(each["measured"]) & (each["times"] >= first)[:, np.newaxis]
     return parts
 
 
-def _values(rows: pd.DataFrame, kind: str, fit: Mapping[str, Any]) -> Floats:
-    return rows[[f"{kind}.{name}" for name in fit["outputs"]]].to_numpy(np.float64)
+def _values(rows: pd.DataFrame, kind: str, names: Sequence[str]) -> Floats:
+    return rows[[f"{kind}.{name}" for name in names]].to_numpy(np.float64)
 
 
 def _fill_residuals(diagnostics: Mapping[str, Any] | None, fits: Sequence[Mapping[str, Any]]) -> None:
@@ -228,8 +232,8 @@ def read_prediction(folder: Path) -> PredictionRun:
         fits = [each["fit"] for each in content["predictions"]]
         for each, rows in zip(content["predictions"], _fill_fits(fits, table), strict=True):
             fit = each["fit"]
-            each["std"] = _values(rows, "std", fit)
-            each["half_width"] = _values(rows, "upper", fit) - fit["simulated"]
+            each["std"] = _values(rows, "std", fit["outputs"])
+            each["half_width"] = _values(rows, "upper", fit["outputs"]) - fit["simulated"]
             _fill_residuals(each["residuals"], [fit])
     return codec.decoded(path, content, PredictionRun, again)
 

@@ -21,6 +21,20 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
+class InputSignals:
+    """Recorded inputs of an experiment in time."""
+
+    names: tuple[str, ...]
+    units: tuple[str | None, ...]
+    held: tuple[bool, ...]
+    """Inputs with zero-order hold."""
+    values: Floats
+    """(K, n_inputs), in the units of the data."""
+
+    json_layout: ClassVar = Layout(omitted={"values"})
+
+
+@dataclass(frozen=True, eq=False)
 class OutputFit:
     """Measured against simulated outputs of one experiment."""
 
@@ -41,6 +55,8 @@ class OutputFit:
     """First columns of tables, (K,) each; default: the times."""
     readings: Floats | None = None
     """Change of each output (K, n_outputs) by one relative unit of its complex response; None of others."""
+    inputs: InputSignals | None = None
+    """Of an experiment in time."""
 
     json_layout: ClassVar = Layout(
         omitted={"times", "measured", "simulated", "counted", "kind", "axis", "readings"},
@@ -82,11 +98,17 @@ class OutputFit:
         return float(self.times[int(counted.argmax())]) if counted.any() else None
 
     def frame(self) -> pd.DataFrame:
-        """Return the columns ``time``, and ``measured.`` and ``simulated.`` of each output."""
+        """Return ``time``, ``measured.`` and ``simulated.`` of each output, ``input.`` of each input."""
         columns = dict(self.axis) or {"time": self.times}
         for j, name in enumerate(self.outputs):
             columns |= {f"measured.{name}": self.measured[:, j], f"simulated.{name}": self.simulated[:, j]}
-        return pd.DataFrame(columns)
+        return pd.DataFrame(columns | self.input_columns)
+
+    @property
+    def input_columns(self) -> dict[str, Floats]:
+        """Columns ``input.`` of each input, (K,) each."""
+        given = self.inputs
+        return {} if given is None else {f"input.{name}": given.values[:, j] for j, name in enumerate(given.names)}
 
     def simulated_frame(self) -> pd.DataFrame:
         """Return the columns ``time`` and each output."""
@@ -125,7 +147,16 @@ def fit_of(system: System, experiment: Experiment, simulated: Floats) -> OutputF
         readings = np.column_stack([experiment.readings(name) for name in names])
     values = experiment.output_values, simulated, experiment.counted
     about = experiment.kind, experiment.axis, readings
-    return OutputFit(experiment.name, experiment.times, names, units, *values, *about)
+    return OutputFit(experiment.name, experiment.times, names, units, *values, *about, _inputs_of(system, experiment))
+
+
+def _inputs_of(system: System, experiment: Experiment) -> InputSignals | None:
+    """Return the recorded inputs of an experiment in time."""
+    names = experiment.input_names
+    if experiment.kind != "time" or not names:
+        return None
+    units = tuple(experiment.units.get(name) or system.unit(name) for name in names)
+    return InputSignals(names, units, tuple(experiment.held.tolist()), experiment.input_values)
 
 
 def parameter_units(

@@ -58,7 +58,7 @@ def test_scores_are_those_of_the_closed_form(result: Result) -> None:
     assert score.rmse == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-4)
     assert score.fit == pytest.approx(100 * (1 - np.linalg.norm(error) / np.linalg.norm(measured - measured.mean())))
     assert (score.output, score.unit, score.samples) == ("i", "A", COUNT)
-    assert list(found.table.columns) == ["time", "measured.i", "simulated.i", "std.i", "lower.i", "upper.i"]
+    assert list(found.table.columns) == ["time", "measured.i", "simulated.i", "std.i", "lower.i", "upper.i", "input.u"]
     assert found.table["measured.i"].between(found.table["lower.i"], found.table["upper.i"]).mean() == score.inside
     content: dict[str, Any] = as_json(found)
     assert (content["scores"][0]["rmse"], content["estimated"]) == (score.rmse, None)

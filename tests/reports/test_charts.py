@@ -1,6 +1,7 @@
 """Charts of fits, residuals, optimization, estimates and uncertainty: their data are what was computed."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -20,6 +21,7 @@ from fmuid.reports.topics import (
     residual_analysis,
 )
 from fmuid.reports.topics import uncertainty_charts as uncertainty
+from fmuid.simulation import InputSignals
 from tests.support import records
 from tests.support.charts import area_of, drawn, labels, legend, places
 from tests.support.results import made_up
@@ -38,8 +40,14 @@ def test_fit_with_band() -> None:
     given = records.record()
     charts = fit.fit_charts(given).charts
     upper, lower, *_ = charts
-    assert [each.y.label for each in charts] == ["y0 (A)", "residual (A)", "y1 (A)", "residual (A)"]
-    assert [each.x.shown for each in charts] == [False, False, False, True]
+    assert [each.y.label for each in charts] == [
+        "y0 (A)",
+        "residual (A)",
+        "y1 (A)",
+        "residual (A)",
+        "squared residual (%)",
+    ]
+    assert [each.x.shown for each in charts] == [False, False, False, False, True]
     assert {(each.x.label, each.x.linked) for each in charts} == {("time (s)", "time")}
     (dots,), (line,), (rest,) = drawn(upper, "points"), drawn(upper, "line"), drawn(lower, "line")
     near(dots["y"], given.measured[:, 0], rtol=1e-6)
@@ -53,6 +61,29 @@ def test_fit_with_band() -> None:
     for each, middle in ((upper, given.simulated[:, 0]), (lower, 0.0 * given.simulated[:, 0])):
         (band,) = drawn(each, "band")
         near([band["y0"], band["y1"]], [middle - 0.5, middle + 0.5], atol=1e-6)
+
+
+def test_inputs_and_location_of_the_residual_are_drawn() -> None:
+    given = records.record()
+    inputs = np.stack([np.sign(given.times - 0.2), given.times, 2.0 * given.times], axis=1)
+    signals = InputSignals(("a", "b", "w"), ("V", "V", "rad/s"), (True, False, False), inputs)
+    *_, located, volts, speed = fit.fit_charts(replace(given, inputs=signals)).charts
+    (shares,) = drawn(located, "step")
+    squares = np.where(given.counted, (given.measured - given.simulated) ** 2, 0.0)
+    shown = 100.0 * (squares / squares.sum(axis=0)).mean(axis=1)
+    near(shares["y"][:-1], shown.reshape(20, 30).sum(axis=1), rtol=1e-6)
+    (held,), (ramp,), (turn,) = drawn(volts, "step"), drawn(volts, "line"), drawn(speed, "line")
+    near([held["y"], ramp["y"], turn["y"]], inputs.T, rtol=1e-6)
+    assert [volts.y.label, speed.y.label] == ["inputs (V)", "w (rad/s)"]
+
+
+def test_forest_of_estimates() -> None:
+    section = estimates.forest_section(result(), 0.95, ())
+    (chart,) = section.charts
+    (bars,) = drawn(chart, "segments")
+    near(bars["x1"], 100.0 * 1.959964 * np.array([0.1 / 4.0, 0.002 / 0.1]), rtol=1e-6)
+    near(bars["x0"], -bars["x1"])
+    assert bars["y0"] == ("R", "L")
 
 
 def test_worst_outputs_and_experiments_are_shown() -> None:

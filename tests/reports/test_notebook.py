@@ -53,7 +53,7 @@ def test_library_is_in_the_first_figure_only(found: fmuid.runs.IdentificationRun
 def test_result_has_figures_of_its_own(found: fmuid.runs.IdentificationRun) -> None:
     assert [len(found.result.plot.residuals().charts), len(found.plot.residuals().charts)] == [1, 3]
     assert len(found.result.plot.fit().charts) == len(found.result.plot.accuracy().charts) == 1
-    assert dir(found.result.plot) == ["accuracy", "correlation", "cost", "fit", "parameters", "residuals"]
+    assert dir(found.result.plot) == ["accuracy", "correlation", "cost", "fit", "forest", "parameters", "residuals"]
     with pytest.raises(fmuid.InputError, match=r"fmuid\.run"):
         found.result.plot.parabolas("R")
     with pytest.raises(AttributeError, match="nothing to draw as 'optima': there is accuracy, correlation, cost"):

@@ -21,6 +21,10 @@ from fmuid.formatting import visible
 from fmuid.reports.chart import Figure
 from fmuid.reports.document import Document, Remark, Section, Table, capitalized
 
+DIGEST = "SHA-256 "
+HEAD_FILES = 6
+"""Files with their digests in the head of a page; the end has all."""
+
 
 def page(title: str, documents: Sequence[Document]) -> str:
     """Return documents as one page."""
@@ -38,7 +42,8 @@ def page(title: str, documents: Sequence[Document]) -> str:
     )
     ends = "".join(_origin(each, several=len(documents) > 1) for each in documents)
     end = f"<section class=end>{ends}</section>" if ends else ""
-    return f"{head}<body><header><h1>{text(title)}</h1></header>\n<main>{body}\n{end}</main>\n{tail}</body></html>\n"
+    top = f"<header><h1>{text(title)}</h1>{_made_from(documents)}</header>"
+    return f"{head}<body>{top}\n<main>{body}\n{end}</main>\n{tail}</body></html>\n"
 
 
 def written(documents: Sequence[Document], live: frozenset[str] = frozenset()) -> tuple[str, list[tuple[Any, Any]]]:
@@ -67,7 +72,8 @@ def table(columns: Table) -> str:
     heads = "".join(f"<th scope=col class={kind}>{text(c.head)}</th>" for c, kind in zip(shown, kinds, strict=True))
     rows = []
     for first, *others in zip(*(each.cells for each in shown), strict=True):
-        tail = "".join(f"<td class={kind}>{text(cell)}</td>" for kind, cell in zip(kinds[1:], others, strict=True))
+        cells = zip(shown[1:], kinds[1:], others, strict=True)
+        tail = "".join(f'<td class={kind} data-head="{text(c.head)}">{text(cell)}</td>' for c, kind, cell in cells)
         rows.append(f"<tr><th scope=row>{text(first)}</th>{tail}</tr>")
     return f"<div class=scroll><table><thead><tr>{heads}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
 
@@ -139,6 +145,24 @@ def _section(section: Section, drawings: list[Any], live: frozenset[str]) -> str
         cells = "".join(f"<div class=cell>{each}</div>" for each in divisions)
         cells = f'<div class="cells n{count}">{cells}</div>'
     return f'<section id="{section.key}">{section_head(section)}{cells}</section>'
+
+
+def _made_from(documents: Sequence[Document]) -> str:
+    """Return date and files with short digests, of all documents."""
+    rows = {name: cell for each in documents for name, cell in _origin_rows(each)}
+    date = rows.get("run", "").replace("T", " ").replace("+00:00", " UTC")
+    known = {cell: name for name, cell in reversed(rows.items()) if cell.startswith(DIGEST)}
+    files = [
+        f"{text(name.rpartition('/')[2])} <code>{text(cell[len(DIGEST) :][:8])}</code>"
+        for cell, name in reversed(known.items())
+    ]
+    shown = [text(date), *files[:HEAD_FILES], *([f"{len(files) - HEAD_FILES} more"] if len(files) > HEAD_FILES else [])]
+    return f"<p class=made>{' · '.join(filter(None, shown))}</p>" if any(shown) else ""
+
+
+def _origin_rows(document: Document) -> Iterator[tuple[str, str]]:
+    if document.origin:
+        yield from zip(document.origin[0].cells, document.origin[-1].cells, strict=True)
 
 
 def _origin(document: Document, *, several: bool) -> str:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
 import pandas as pd
+from scipy import special
 
 from fmuid.array_types import Floats
 from fmuid.estimation import Result, TerminationReason
 from fmuid.formatting import listed, rounded, unit_text, with_std
 from fmuid.identification import CONFIDENCE_LEVEL, region_rise
-from fmuid.reports.chart import LIMITS, Axis, Chart, Data, Layer, Shades, Units, named
+from fmuid.reports.chart import LIMITS, Axis, Chart, Data, Layer, Shades, Units, intervals, named, rows_of
 from fmuid.reports.document import Message, Remark, Section, Table, plain, table_of
 from fmuid.reports.render.style import ON_PALE, ON_STRONG
 from fmuid.reports.topics.solver_check import shift_text
@@ -21,6 +23,9 @@ CAPTION = (
     "Near ±1 two estimates are strongly correlated: use the ellipse instead of their intervals (dashed). Drawn are the "
     "pairs with the largest correlations."
 )
+
+
+FOREST = "Bars: {level:.4g} % intervals. Amber: prior. Rings: initial guesses near them."
 
 
 class EstimateMessage(Message, section="correlation"):
@@ -85,6 +90,46 @@ def estimates_table(result: Result, level: float = CONFIDENCE_LEVEL) -> Table:
     columns["note"] = ["at bound" * (name in bounded) for name in result.names]
     words = [head for head in columns if head not in ("relative σ", "solver error", "initial")]
     return table_of(columns, words, ("initial", "prior", "relative σ", "solver error", "note"))
+
+
+def forest_section(result: Result, level: float, said: Sequence[Remark]) -> Section:
+    """Return estimates with their intervals and priors, in % of each estimate."""
+    ends = result.intervals(level).to_numpy()
+    kept = np.flatnonzero(np.isfinite(ends).all(axis=1) & (result.values != 0.0))[: LIMITS.parameters]
+    if not kept.size:
+        return Section("forest", "Estimates")
+    scale = np.abs(result.values[kept])
+    names = tuple(np.array(result.names, dtype=object)[kept])
+
+    def percent(values: Floats) -> Floats:
+        return np.asarray(100.0 * (values - result.values[kept]) / scale)
+
+    low, high, start = percent(ends[kept, 0]), percent(ends[kept, 1]), percent(result.estimates.start[kept])
+    middle, half = percent(result.estimates.prior_mean[kept]), 100.0 * result.estimates.prior_std[kept] / scale
+    believed = np.isfinite(middle) & np.isfinite(half)
+    reach = 1.6 * float(np.max(np.abs([low, high])))
+    shown = believed & (np.abs(middle) - half < reach)
+    near, rows = np.abs(start) < reach, np.array(names, dtype=object)
+    width = float(special.ndtri(0.5 + 0.5 * level))
+    layers = [Layer("rule", {"x": 0.0}, "grey", width=1)]
+    if shown.any():
+        prior_low, prior_high = middle - width * half, middle + width * half
+        sides: Data = {
+            "x0": np.maximum(prior_low, -reach)[shown],
+            "y0": tuple(rows[shown]),
+            "x1": np.minimum(prior_high, reach)[shown],
+            "y1": tuple(rows[shown]),
+        }
+        layers.append(Layer("segments", sides, "amber", width=9, alpha=0.45, label="prior"))
+    layers += intervals(names, np.zeros(kept.size), low, high, word="deviation, %")
+    if near.any():
+        ring: Data = {"x": start[near], "y": tuple(rows[near])}
+        layers.append(Layer("points", ring, "white", size=8, edge="ink", label="initial guess"))
+    axis = Axis("deviation from the estimate (%)", reach=(-reach, reach))
+    chart = rows_of(names, axis, layers, 80)
+    return Section(
+        "forest", "Estimates", FOREST.format(level=100 * level), charts=(chart,), beside=1, remarks=tuple(said)
+    )
 
 
 def correlation_sections(result: Result, units: Units, level: float = CONFIDENCE_LEVEL) -> list[Section]:

@@ -11,16 +11,21 @@ import numpy as np
 from fmuid.array_types import Floats
 from fmuid.data import evenly, extremes
 from fmuid.formatting import fit_text, label, with_unit
-from fmuid.reports.chart import LIMITS, Axis, Chart, ChartGrid, Layer, short, stacked
-from fmuid.reports.document import Document, Message, Remark, Section, plain, table_of
+from fmuid.identification import ResidualStretch, squared_residual
+from fmuid.reports.chart import LIMITS, Axis, Chart, ChartGrid, Color, Data, Layer, short, stacked
+from fmuid.reports.document import Document, Message, Remark, Section, doubt, plain, table_of
 from fmuid.simulation import OutputFit
 
 ZOOM_SHARE, ZOOM_SAMPLES = 0.06, 120
 """Zoom for print: fraction of the experiment, and minimum number of samples."""
 CAPTION = (
     "Dots: measured. Line: simulated with the estimates. Below: residual, which should be noise without a pattern. "
-    "The warm-up is grey. Drag to zoom; all outputs follow."
+    "The warm-up is grey. Then the share of each stretch in the squared residual, and the inputs. "
+    "Drag to zoom; all charts follow."
 )
+STRETCHES = 20
+"""Stretches of a record whose share of the squared residual is drawn."""
+INPUT_COLORS: tuple[Color, ...] = ("ink", "grey", "blue", "amber")
 Band = tuple[Floats | None, float]
 """Half widths (K, n_outputs) of the band around the lines, NaN where there is none, and its level."""
 
@@ -33,6 +38,11 @@ class FitMessage(Message, section="fit"):
         "100 (1 − ‖y − ŷ‖/‖y − ȳ‖) as in MATLAB; 0 %: no better than the mean",
     )
     LEAST = plain("Lowest fit (NRMSE): {scores}.")
+    STRETCH = doubt(
+        "{share} of the squared residual{where} lies in {start} to {end} s ({time} of the time).",
+        "an event, an outlier, or a state that starts elsewhere",
+        "Look at this stretch; set `warmup` if it is the first.",
+    )
 
 
 CONSTANT = "constant as measured: no fit"
@@ -50,6 +60,20 @@ def fit_remarks(fits: Sequence[OutputFit]) -> list[Remark]:
         return [FitMessage.LEAST.said(scores=scores)]
     scores = fit_scores(fits)
     return [FitMessage.FIT.said(scores=scores)] if scores else []
+
+
+def stretch_remarks(found: Sequence[ResidualStretch], experiments: int) -> list[Remark]:
+    """Return the stretches with most of the residual."""
+    return [
+        FitMessage.STRETCH.said(
+            share=f"{100 * each.share:.0f} %",
+            where=f" of {each.experiment}" if experiments > 1 else "",
+            start=f"{each.start:.4g}",
+            end=f"{each.end:.4g}",
+            time=f"{100 * each.time_share:.2g} %",
+        )
+        for each in found
+    ]
 
 
 def fit_scores(fits: Sequence[OutputFit]) -> str:
@@ -169,16 +193,57 @@ def fit_charts(fit: OutputFit, band: Band | None = None, rows: slice = slice(Non
         upper.append(Layer("line", {"x": thin, "y": line, "m": own, "r": rest}, label=name, hover=hover))
         lower.append(Layer("line", {"x": thin, "y": rest}, "red", width=0.9))
         lower.append(Layer("rule", {"y": 0.0}, "ink"))
-        last = j == outputs[-1]
         text, error = label(fit.outputs[j], fit.units[j]), label("residual", fit.units[j])
         charts.append(Chart(across, Axis(text), tuple(upper), 220, crosshair=True))
-        charts.append(Chart(across, Axis(error, ticks=3), tuple(lower), 140 if last else 110, crosshair=True))
+        charts.append(Chart(across, Axis(error, ticks=3), tuple(lower), 110, crosshair=True))
+
+    charts += [_location_chart(fit, rows, across), *_input_charts(fit, rows, across)]
 
     def of(start: float, end: float) -> ChartGrid:
         first, last = np.searchsorted(fit.times, [start, end])
         return fit_charts(fit, band, slice(max(0, int(first) - 1), min(len(fit.times), int(last) + 1)))
 
     return replace(stacked(charts), live=of)
+
+
+def _location_chart(fit: OutputFit, rows: slice, across: Axis) -> Chart:
+    """Return the share of each stretch in the squared residual."""
+    times, shares = fit.times[rows], squared_residual(fit)[rows]
+    edges = np.linspace(times[0], times[-1], STRETCHES + 1)
+    sums = np.histogram(times, edges, weights=shares)[0] * 100.0
+    data: Data = {"x": edges, "y": np.append(sums, sums[-1])}
+    hover = (("from", "@x{0.0000} s"), ("share", "@y{0.0} %"))
+    layers = (Layer("step", data, "red", hover=hover), *uncounted(fit, rows))
+    height = 110 if fit.inputs is not None else 140
+    return Chart(across, Axis("squared residual (%)", ticks=3, reach=(0.0, None)), layers, height, crosshair=True)
+
+
+def _input_charts(fit: OutputFit, rows: slice, across: Axis) -> list[Chart]:
+    """Return the inputs over time, those of one unit in one chart."""
+    given = fit.inputs
+    if given is None:
+        return []
+    times, values = fit.times[rows], given.values[rows]
+    groups: dict[str | None, list[int]] = {}
+    for j, unit in enumerate(given.units[: LIMITS.outputs]):
+        groups.setdefault(unit, []).append(j)
+    charts = []
+    for unit, columns in groups.items():
+        kept = extremes(values[:, columns], LIMITS.rows)
+        layers = [
+            Layer(
+                "step" if given.held[j] else "line",
+                {"x": times[kept], "y": short(values[kept, j])},
+                INPUT_COLORS[k % len(INPUT_COLORS)],
+                1.2,
+                label=given.names[j] if len(columns) > 1 else "",
+                hover=(("time", "@x{0.0000} s"), (given.names[j], "@y{0.00000}")),
+            )
+            for k, j in enumerate(columns)
+        ]
+        name = given.names[columns[0]] if len(columns) == 1 else "inputs"
+        charts.append(Chart(across, Axis(label(name, unit), ticks=3), tuple(layers), 130, crosshair=True))
+    return [*charts[:-1], replace(charts[-1], height=160)]
 
 
 def uncounted(fit: OutputFit, rows: slice = slice(None)) -> list[Layer]:

@@ -20,8 +20,8 @@ from fmuid.reports.topics.assumptions import (
     hiding_section,
     model_error_remarks,
 )
-from fmuid.reports.topics.estimates import correlation_sections, estimates_section, precision_remarks
-from fmuid.reports.topics.fit import fit_remarks, fit_sections
+from fmuid.reports.topics.estimates import correlation_sections, estimates_section, forest_section, precision_remarks
+from fmuid.reports.topics.fit import fit_remarks, fit_sections, stretch_remarks
 from fmuid.reports.topics.optimization import optima_remarks, optima_section, optimization_sections
 from fmuid.reports.topics.preprocessing import preprocessing_sections
 from fmuid.reports.topics.prior_and_data import prior_sections, reading_remarks
@@ -44,6 +44,10 @@ class RunMessage(Message):
 
     POINT = plain("Best point: {point}.")
     NOISE = plain("Residual: {noise}.", "of each output, beside the stated noise")
+    INFORMATION = plain(
+        "Likelihood: χ² {chi}, {dof} degrees of freedom; −2 ln L {twice}; AIC {aic}; BIC {bic}.",
+        "with the noise variance that the fit used; estimated variances count as parameters",
+    )
     INTERRUPTED = bad("Interrupted: the checks of [uncertainty] are incomplete.", remedy="Continue with `--resume`.")
 
 
@@ -92,6 +96,7 @@ def _remarks(found: IdentificationRun) -> list[Remark]:
         point = ", ".join(f"{name} = {result[name]:.6g}" for name in names)
         return [RunMessage.POINT.said(point=point), first]
     said = [first, *precision_remarks(result), *fit_remarks(found.fits)]
+    said += stretch_remarks(found.residual_stretches, len(found.fits))
     said += [gap_remark(*each) for each in found.dropouts.items()]
     said += [*others, *optima_remarks(result)]
     said += model_error_remarks(checks.model_errors)
@@ -183,6 +188,23 @@ def _noise(result: Result, fits: Sequence[OutputFit]) -> str:
     return ", ".join(words)
 
 
+def information_remarks(result: Result) -> list[Remark]:
+    """Return χ², likelihood and information criteria in one line."""
+    fit = result.fit
+    if not fit.experiments or not math.isfinite(fit.log_likelihood):
+        return []
+    samples = sum(int(each.counted.sum()) for each in fit.experiments)
+    count = len(result.names) + sum(name not in fit.given_variance for name in fit.noise_variance)
+    squares = 0.0
+    for experiment, simulated in zip(fit.experiments, fit.simulated, strict=True):
+        scale = np.sqrt([fit.variance[name] for name in experiment.output_names])
+        squares += float((((experiment.output_values - simulated) / scale)[experiment.counted] ** 2).sum())
+    twice = -2.0 * fit.log_likelihood
+    values = {"chi": f"{squares:.5g}", "dof": samples - len(result.names), "twice": f"{twice:.6g}"}
+    values |= {"aic": f"{twice + 2 * count:.6g}", "bic": f"{twice + count * math.log(samples):.6g}"}
+    return [RunMessage.INFORMATION.said("forest", **values)]
+
+
 def _assumptions(found: IdentificationRun) -> list[tuple[str, str, str]]:
     """Return assumptions beside the fixed parameters: what, value and effect."""
     result, rows = found.result, list[tuple[str, str, str]]()
@@ -215,6 +237,7 @@ def identification_sections(found: IdentificationRun) -> list[Section]:
     sections = [
         *([optima_section(result)] if result.history.optima else []),
         estimates_section(result, checks.level),
+        forest_section(result, checks.level, information_remarks(result)),
         *([interval_section(checks, result)] if checks.is_explored else []),
         *assumed_section(checks.model_errors, _assumptions(found)),
         *hiding_section(checks.model_errors),

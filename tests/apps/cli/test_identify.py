@@ -66,7 +66,7 @@ def test_identify_writes_tables_and_figures(identified: tuple[Path, str]) -> Non
         "result.json", "estimates.csv", "trace.csv", "fit.csv", "diagnostics.csv",
         "parameters.ssv", "document.json", "report.html", "figures",
     }  # fmt: skip
-    drawn = ("fit", "residuals", "parameters", "cost", "correlation", "accuracy", "hiding")
+    drawn = ("forest", "fit", "residuals", "parameters", "cost", "correlation", "accuracy", "hiding")
     assert {path.name for path in (out / "figures").iterdir()} == {f"{name}.png" for name in drawn}
     found, estimates = result(out), pd.read_csv(out / "estimates.csv")
     assert estimates["parameter"].tolist() == ["R", "L"]
@@ -81,7 +81,8 @@ def test_identify_writes_tables_and_figures(identified: tuple[Path, str]) -> Non
     assert trace["cost"].iloc[-1] == pytest.approx(found["fit"]["cost"])
     assert (trace["R"].iloc[0], trace["L"].iloc[0]) == (6.0, 0.05)
     fit, table = pd.read_csv(out / "fit.csv"), pd.read_csv(folder / "first.csv")
-    assert list(fit.columns) == ["time", "measured.i", "simulated.i"]
+    assert list(fit.columns) == ["time", "measured.i", "simulated.i", "input.u"]
+    np.testing.assert_array_equal(fit["input.u"], table["u"])
     np.testing.assert_array_equal(fit["measured.i"], table["i"])
     assert np.abs(fit["simulated.i"] - coil_current(table["u"].to_numpy(), 0.0)).max() < NOISE / 5
 
@@ -95,7 +96,7 @@ def test_identify_several_experiments(folder: Path) -> None:
     assert found["i_start[first]"]["value"] == pytest.approx(0.0, abs=0.03)
     assert found["i_start[second]"]["value"] == pytest.approx(0.2, abs=0.03)
     fit = pd.read_csv(folder / "results/fit.csv")
-    assert list(fit.columns) == ["experiment", "time", "measured.i", "simulated.i"]
+    assert list(fit.columns) == ["experiment", "time", "measured.i", "simulated.i", "input.u"]
     assert fit["experiment"].value_counts().to_dict() == {"first": 600, "second": 600}
     units = pd.read_csv(folder / "results/estimates.csv")["unit"]
     assert units.tolist() == ["Ohm", "H", "A", "A"]
