@@ -46,7 +46,7 @@ class ResidualStretch:
 
 
 def squared_residual(fit: OutputFit) -> Floats:
-    """Return the share (K,) of each sample in the squared residual, each output beside its median."""
+    """Return shares (K,) of the squared residual, outputs over their medians."""
     shares = np.zeros(len(fit.times))
     with np.errstate(over="ignore", invalid="ignore"):
         for error, counted in zip((fit.measured - fit.simulated).T, fit.counted.T, strict=True):
@@ -59,7 +59,7 @@ def squared_residual(fit: OutputFit) -> Floats:
 
 
 def residual_stretch(fit: OutputFit) -> ResidualStretch | None:
-    """Return the shortest stretch with half of the squared residual, if it is short."""
+    """Return a short stretch with half of the squared residual."""
     rows = np.flatnonzero(fit.counted.any(axis=1))
     if fit.kind != "time" or rows.size < SETTINGS.least_samples:
         return None

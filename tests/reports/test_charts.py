@@ -69,8 +69,9 @@ def test_inputs_and_location_of_the_residual_are_drawn() -> None:
     signals = InputSignals(("a", "b", "w"), ("V", "V", "rad/s"), (True, False, False), inputs)
     *_, located, volts, speed = fit.fit_charts(replace(given, inputs=signals)).charts
     (shares,) = drawn(located, "step")
-    squares = np.where(given.counted, (given.measured - given.simulated) ** 2, 0.0)
-    shown = 100.0 * (squares / squares.sum(axis=0)).mean(axis=1)
+    squares = np.where(given.counted, (given.measured - given.simulated) ** 2, np.nan)
+    shown = np.nansum(squares / np.nanmedian(squares, axis=0), axis=1)
+    shown *= 100.0 / shown.sum()
     near(shares["y"][:-1], shown.reshape(20, 30).sum(axis=1), rtol=1e-6)
     (held,), (ramp,), (turn,) = drawn(volts, "step"), drawn(volts, "line"), drawn(speed, "line")
     near([held["y"], ramp["y"], turn["y"]], inputs.T, rtol=1e-6)
