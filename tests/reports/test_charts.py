@@ -80,8 +80,9 @@ def test_inputs_and_location_of_the_residual_are_drawn() -> None:
 
 def test_forest_of_estimates() -> None:
     section = estimates.forest_section(result(), 0.95, ())
-    (chart,) = section.charts
-    (bars,) = drawn(chart, "segments")
+    (forest,) = section.charts
+    assert isinstance(forest, chart.Chart)
+    (bars,) = drawn(forest, "segments")
     near(bars["x1"], 100.0 * 1.959964 * np.array([0.1 / 4.0, 0.002 / 0.1]), rtol=1e-6)
     near(bars["x0"], -bars["x1"])
     assert bars["y0"] == ("R", "L")
