@@ -31,6 +31,8 @@ class ChartLimits:
     outputs: int = 8
     experiments: int = 6
     parameters: int = 24  # each in its chart
+    stretches: int = 20  # of a record, with their shares of the squared residual
+    files: int = 6  # in the head of a page; its end has all
 
 
 LIMITS = ChartLimits()

@@ -18,12 +18,10 @@ from typing import Any
 
 from fmuid.errors import InputError
 from fmuid.formatting import visible
-from fmuid.reports.chart import Figure
+from fmuid.reports.chart import LIMITS, Figure
 from fmuid.reports.document import Document, Remark, Section, Table, capitalized
 
 DIGEST = "SHA-256 "
-HEAD_FILES = 6
-"""Files with their digests in the head of a page; the end has all."""
 
 
 def page(title: str, documents: Sequence[Document]) -> str:
@@ -156,7 +154,11 @@ def _made_from(documents: Sequence[Document]) -> str:
         f"{text(name.rpartition('/')[2])} <code>{text(cell[len(DIGEST) :][:8])}</code>"
         for cell, name in reversed(known.items())
     ]
-    shown = [text(date), *files[:HEAD_FILES], *([f"{len(files) - HEAD_FILES} more"] if len(files) > HEAD_FILES else [])]
+    shown = [
+        text(date),
+        *files[: LIMITS.files],
+        *([f"{len(files) - LIMITS.files} more"] if len(files) > LIMITS.files else []),
+    ]
     return f"<p class=made>{' · '.join(filter(None, shown))}</p>" if any(shown) else ""
 
 

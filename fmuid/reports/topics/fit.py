@@ -23,8 +23,6 @@ CAPTION = (
     "The warm-up is grey. Then the share of each stretch in the squared residual, and the inputs. "
     "Drag to zoom; all charts follow."
 )
-STRETCHES = 20
-"""Stretches of a record whose share of the squared residual is drawn."""
 INPUT_COLORS: tuple[Color, ...] = ("ink", "grey", "blue", "amber")
 Band = tuple[Floats | None, float]
 """Half widths (K, n_outputs) of the band around the lines, NaN where there is none, and its level."""
@@ -209,7 +207,7 @@ def fit_charts(fit: OutputFit, band: Band | None = None, rows: slice = slice(Non
 def _location_chart(fit: OutputFit, rows: slice, across: Axis) -> Chart:
     """Return the share of each stretch in the squared residual."""
     times, shares = fit.times[rows], squared_residual(fit)[rows]
-    edges = np.linspace(times[0], times[-1], STRETCHES + 1)
+    edges = np.linspace(times[0], times[-1], LIMITS.stretches + 1)
     sums = np.histogram(times, edges, weights=shares)[0] * 100.0
     data: Data = {"x": edges, "y": np.append(sums, sums[-1])}
     hover = (("from", "@x{0.0000} s"), ("share", "@y{0.0} %"))
