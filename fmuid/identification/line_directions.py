@@ -12,6 +12,16 @@ from fmuid.data import LINES, SensorMap
 from fmuid.identification.model_errors import ErrorKind
 
 
+@dataclass(frozen=True)
+class LineSettings:
+    """Usual errors of lines."""
+
+    joint: float = 0.5  # of the usual share of other errors: a joint is some per mille of the impedance
+
+
+LINE = LineSettings()
+
+
 @dataclass(frozen=True, eq=False)
 class LineError:
     """One unit of an error of line voltages.
@@ -65,7 +75,7 @@ def line_errors(made: SensorMap, currents: Floats) -> Iterator[LineError]:
         yield LineError(ErrorKind.INPUT_OFFSET, (column,), "V", voltage, made.axes(own))
     for column, line in zip(columns, LINES, strict=False):
         name = f"phase_resistance({line})"
-        yield LineError(ErrorKind.JOINT, (column,), "Ohm", voltage / current, drop(name))
+        yield LineError(ErrorKind.JOINT, (column,), "Ohm", LINE.joint * voltage / current, drop(name))
     if columns:
         subject = (*columns, *currents_of_lines)
         yield LineError(ErrorKind.DEAD_TIME, subject, "V", voltage, drop("dead_time_voltage"))

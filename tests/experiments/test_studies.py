@@ -30,6 +30,16 @@ def test_induction_machine_comes_back_from_starts_50_percent_away(factors: tuple
     assert list(result.fit.noise_variance.values()) == pytest.approx([make_table.NOISE_VARIANCE] * 2, rel=0.06)
 
 
+def test_phase_sensors_of_the_induction_machine_are_alike() -> None:
+    result = fmuid.Study.read(INDUCTION.with_name("study_phases.toml")).identify()
+    truth = [*make_table.TRUTH.values(), 1.0]
+    assert result.names == (*make_table.TRUTH, "gain(ib)")
+    assert (np.abs(result.values - truth) < 3 * result.std).all()
+    page = INDUCTION.with_name("README.md").read_text(encoding="utf-8")
+    gain = result["gain(ib)"]
+    assert f"{gain.value:.4f} ± {gain.std:.4f}" in page
+
+
 @pytest.mark.slow
 def test_intervals_of_the_induction_machine_cover_as_often_as_they_say(clean: pd.DataFrame) -> None:
     """100 draws of noise on the noise-free simulation of the three-phase equations; 95 % of 100 is 95 ± 2.2."""

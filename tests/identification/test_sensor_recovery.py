@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,7 +15,8 @@ from scipy.interpolate import CubicSpline
 import fmuid
 from fmuid.array_types import Floats
 from fmuid.data import Parameter, Sensor
-from tests.support.winding_machine import MACHINE, STUDY_AXES, currents, excitation, to_phases
+from fmuid.identification import find_model_errors
+from tests.support.winding_machine import MACHINE, STUDY_AXES, currents, excitation, record, to_phases
 
 FMU = "fmus/InductionMachine/InductionMachine.fmu"
 NOISE, COUNT = 0.1, 1500
@@ -76,3 +78,29 @@ def test_intervals_hold() -> None:
     print(dict(zip(NAMES, np.atleast_1d(within), strict=True)), np.sqrt(np.mean(found**2, axis=0)).round(2))
     least, most = (stats.binom.ppf(p, len(found), 0.95) for p in (5e-4, 1 - 5e-4))  # of nine parameters together: 1 %
     assert ((within >= least) & (within <= most)).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("errors", "kind", "subject", "size"),
+    [
+        ({"delay": 1.5e-4}, "delay", "ib", 0.3),
+        ({"offset": 0.1}, "offset", "ib", 0.1),
+        ({"supply": 1.0 / 1.02}, "input_gain", "uc", 0.02),
+        ({"joint": (0.0, 0.45, 0.0)}, "joint", "ub", 0.45),
+    ],
+)
+def test_directed_tests_name_the_sensor_and_the_line(
+    errors: dict[str, Any], kind: str, subject: str, size: float
+) -> None:
+    frame = record(1500, noise=NOISE, seed=3, joint=errors.get("joint", (0.0, 0.0, 0.0))).copy()
+    frame["uc"] *= errors.get("supply", 1.0)
+    late = np.maximum(frame["time"] - errors.get("delay", 0.0), 0.0)
+    frame["ib"] = CubicSpline(frame["time"], frame["ib"])(late) + errors.get("offset", 0.0)
+    parameters = {name: Parameter(1.2 * value, min=0.0) for name, value in MACHINE.items()}
+    problem = fmuid.Problem(FMU, fmuid.Experiment(frame, ["w"], observation=STUDY_AXES), parameters)
+    found = find_model_errors(problem, fmuid.identify(problem))
+    assert found is not None and found.errors
+    strongest = found.errors[0].test
+    assert (strongest.direction.kind.value, strongest.direction.subject) == (kind, (subject,))
+    assert strongest.size == pytest.approx(size, rel=0.25)
