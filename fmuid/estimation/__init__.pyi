@@ -35,6 +35,7 @@ from .noise.model import NoiseModel as NoiseModel
 from .noise.model import common_process as common_process
 from .noise.output_noise import OutputNoise as OutputNoise
 from .noise.output_noise import output_noise as output_noise
+from .noise.output_noise import spectral_lines as spectral_lines
 from .noise.output_series import OutputSeries as OutputSeries
 from .noise.output_series import output_series as output_series
 from .noise.sample_grid import Rows as Rows

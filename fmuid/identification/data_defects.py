@@ -1,4 +1,4 @@
-"""Defects of recorded outputs: coarse steps, clipping, repeated samples, uneven noise."""
+"""Defects of recorded outputs: coarse steps, clipping, repeated samples, hum, uneven noise."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 
 from fmuid.array_types import Floats
-from fmuid.estimation import LeastSquares, NoiseModel, Result
+from fmuid.estimation import LeastSquares, NoiseModel, Result, spectral_lines
 
 AnyProblem = TypeVar("AnyProblem", bound=LeastSquares)
 
@@ -39,12 +39,13 @@ class DefectKind(Enum):
     CLIPPED = "clipped"
     EXCLUDED = "excluded"  # clipped stretches do not count
     REPEATED = "repeated"
+    HUM = "hum"  # a line of the residual: σ allows for it
     UNEVEN = "uneven"  # the noise variance follows the signal, its slope or the time: σ allows for it
 
     @property
     def is_doubt(self) -> bool:
         """True if estimates or intervals may be wrong."""
-        return self not in (DefectKind.UNEVEN, DefectKind.EXCLUDED)
+        return self not in (DefectKind.UNEVEN, DefectKind.EXCLUDED, DefectKind.HUM)
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,8 @@ class DataDefect:
     kind : DefectKind
     output, experiment : str
     values : mapping of str to float
-        ``ratio`` of step to residual std; ``limit`` and ``samples``; ``share``; ``factor`` of std, 95 to 5 %.
+        ``ratio`` of step to residual std; ``limit`` and ``samples``; ``share``;
+        ``factor`` of std, 95 to 5 %; ``frequency``, Hz.
     """
 
     kind: DefectKind
@@ -89,16 +91,15 @@ def _defects(model: NoiseModel, measured: Floats, simulated: Floats, levels: Flo
     step = converter_step(measured)
     if step > SETTINGS.coarse * std:
         yield DataDefect(DefectKind.QUANTIZED, *names, {"ratio": step / std})
-    for limit, sign in ((float(measured.max()), 1.0), (float(measured.min()), -1.0)):
-        at = measured == limit
-        # without steps no two samples are alike by chance
-        beyond = not step or sign * float((simulated[at] - limit).mean()) > 0.5 * step
-        if at.sum() >= SETTINGS.clipped_samples and beyond:
-            yield DataDefect(DefectKind.CLIPPED, *names, {"limit": limit, "samples": float(at.sum())})
+    for limit, _ in clipped_ends(measured, simulated):
+        samples = float((measured == limit).sum())
+        yield DataDefect(DefectKind.CLIPPED, *names, {"limit": limit, "samples": samples})
     inside = (measured[1:] < measured.max()) & (measured[1:] > measured.min())
     share = float(np.mean((np.diff(measured) == 0.0) & inside))
     if not step and share > SETTINGS.repeated:
         yield DataDefect(DefectKind.REPEATED, *names, {"share": share})
+    for frequency in spectral_lines(model.series, measured - simulated, measured).tolist():
+        yield DataDefect(DefectKind.HUM, *names, {"frequency": frequency})
     if levels is not None and np.ptp(levels) > 0.0:
         low, high = np.quantile(levels, (0.05, 0.95))
         yield DataDefect(DefectKind.UNEVEN, *names, {"factor": float(high / low)})
@@ -115,26 +116,40 @@ def converter_step(values: Floats) -> float:
     return float(steps.min()) if np.abs(multiples - np.rint(multiples)).max() < SETTINGS.grid_error else 0.0
 
 
+def clipped_ends(measured: Floats, simulated: Floats) -> list[tuple[float, float]]:
+    """Return clipped ends of the range, and their signs, of samples (n,)."""
+    step, found = converter_step(measured), []
+    for limit, sign in ((float(measured.max()), 1.0), (float(measured.min()), -1.0)):
+        at = measured == limit
+        # without steps no two samples are alike by chance
+        beyond = not step or sign * float((simulated[at] - limit).mean()) > 0.5 * step
+        if at.sum() >= SETTINGS.clipped_samples and beyond:
+            found.append((limit, sign))
+    return found
+
+
 def without_clipped(problem: AnyProblem, result: Result) -> tuple[AnyProblem, tuple[DataDefect, ...]] | None:
     """Return the problem without clipped stretches, with what was excluded; None without any.
 
     Samples go where the model is near the limit: their noise alone must not decide.
     """
-    clipped = [each for each in find_data_defects(problem, result) if each.kind is DefectKind.CLIPPED]
-    if not clipped:
-        return None
-    experiments, excluded = list(problem.experiments), []
-    for each in clipped:
-        k = [one.name for one in experiments].index(each.experiment)
-        experiment, limit = experiments[k], each.values["limit"]
-        j = experiment.output_names.index(each.output)
-        near = SETTINGS.near_limit * math.sqrt(result.fit.noise_variance[each.output])
-        sign = 1.0 if limit == np.nanmax(problem.experiments[k].output_values[:, j]) else -1.0
-        beyond = (sign * (result.fit.simulated[k][:, j] - limit) > -near) & experiment.counted[:, j]
-        values = experiment.output_values[:, j].copy()
-        values[beyond] = np.nan
-        experiments[k] = replace(experiment, frame=experiment.frame.assign(**{experiment.columns[each.output]: values}))
-        excluded.append(
-            replace(each, kind=DefectKind.EXCLUDED, values={"limit": limit, "samples": float(beyond.sum())})
-        )
-    return problem.measuring(experiments), tuple(excluded)
+    experiments, excluded = [], list[DataDefect]()
+    for experiment, simulated in zip(problem.experiments, result.fit.simulated, strict=True):
+        frame = experiment.frame
+        for j, output in enumerate(experiment.output_names):
+            values, own, counted = experiment.output_values[:, j], simulated[:, j], experiment.counted[:, j]
+            if counted.sum() < SETTINGS.least_samples:
+                continue
+            near, gone = (
+                SETTINGS.near_limit * math.sqrt(result.fit.noise_variance[output]),
+                np.zeros(len(own), np.bool_),
+            )
+            for limit, sign in clipped_ends(values[counted], own[counted]):
+                beyond = (sign * (own - limit) > -near) & counted
+                gone |= beyond
+                found = {"limit": limit, "samples": float(beyond.sum())}
+                excluded.append(DataDefect(DefectKind.EXCLUDED, output, experiment.name, found))
+            if gone.any():
+                frame = frame.assign(**{experiment.columns[output]: np.where(gone, np.nan, values)})
+        experiments.append(experiment if frame is experiment.frame else replace(experiment, frame=frame))
+    return (problem.measuring(experiments), tuple(excluded)) if excluded else None

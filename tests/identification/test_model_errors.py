@@ -335,6 +335,8 @@ def damaged(kind: str, seed: int = 0) -> tuple[Problem, Result]:
         case "clipped":
             limit = 0.8 * float(np.abs(i).max())
             measured = np.clip(i + level * noise, -limit, limit)
+        case "hum":
+            measured = i + level * (noise + np.cos(2.0 * np.pi * 50.0 * TIMES + 1.0))
         case "repeated":
             measured = np.repeat((i + level * noise)[::2], 2)[:COUNT]
         case _:
@@ -345,7 +347,7 @@ def damaged(kind: str, seed: int = 0) -> tuple[Problem, Result]:
 
 @pytest.mark.parametrize("kind", [each for each in DefectKind if each is not DefectKind.EXCLUDED])
 def test_defects_of_data_are_named(kind: DefectKind) -> None:
-    """Uneven noise is no doubt: σ allows for it."""
+    """Uneven noise and hum are no doubt: σ allows for them."""
     problem, result = damaged(kind.value)
     found = find_data_defects(problem, result)
     assert kind in {each.kind for each in found}

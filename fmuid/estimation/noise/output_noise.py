@@ -75,7 +75,7 @@ class OutputNoise:
     ) -> OutputNoise:
         """Return the common noise of residuals (n,) of one output; a given variance includes the lines."""
         longest = max(range(len(parts)), key=lambda k: parts[k][0].places.size)
-        lines = _lines(*parts[longest], measured[longest])
+        lines = spectral_lines(*parts[longest], measured[longest])
         rest = [(series, _without(series, lines, values[:, None])[:, 0]) for series, values in parts]
         if variance is not None and lines.size:
             variance *= _squares(rest) / _squares(parts)
@@ -123,7 +123,7 @@ def _squares(parts: Sequence[tuple[OutputSeries, Floats]]) -> float:
     return sum(float(values @ values) for _, values in parts) or 1.0
 
 
-def _lines(series: OutputSeries, values: Floats, measured: Floats) -> Floats:
+def spectral_lines(series: OutputSeries, values: Floats, measured: Floats) -> Floats:
     """Return the frequencies of lines, Hz: bins that exceed the median of their neighbors on both sides.
 
     A line in the residual that the model explains in the measured signal is one of the excitation.

@@ -9,7 +9,7 @@ import numpy as np
 
 from fmuid.estimation import Doubt
 from fmuid.formatting import listed, two_digits, unit_text, with_std
-from fmuid.identification import DefectKind, DirectedTest, Direction, ErrorKind, ModelError, ModelErrors
+from fmuid.identification import DataDefect, DefectKind, DirectedTest, Direction, ErrorKind, ModelError, ModelErrors
 from fmuid.reports.chart import Axis, Chart, Data, Layer, rows_of
 from fmuid.reports.document import DETAIL, PAGE, Message, Remark, Section, doubt, plain, table_of_rows
 
@@ -68,6 +68,7 @@ class DefectMessage(Message, section="residuals"):
         "samples where the model is within 3 σ of the sensor's end",
     )
     REPEATED = doubt("{output} repeats {share:.0%} of its samples", "a channel slower than its clock")
+    HUM = plain("{output} has a hum of {frequency:.4g} Hz", "mains, or a resonance: σ allows for it")
     UNEVEN = plain("noise of {output} is uneven ({factor:.2g} ×)", "it follows the signal or time: σ allows for it")
 
 
@@ -127,6 +128,12 @@ def defect_words(found: Doubt) -> str:
     """Return a defect of a recorded output."""
     kind, output, *_ = found.subject
     return DefectMessage[DefectKind(kind).name].text.format(output=output, **found.values).replace("%", " %")
+
+
+def defect_remarks(found: Sequence[DataDefect]) -> list[Remark]:
+    """Return the defects for which σ allows."""
+    told = [(DefectMessage[each.kind.name], each) for each in found if not each.kind.is_doubt]
+    return [message.said(output=each.output, **each.values) for message, each in told]
 
 
 def error_words(found: Doubt) -> str:

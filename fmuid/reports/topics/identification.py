@@ -15,6 +15,7 @@ from fmuid.models import SolverConfiguration
 from fmuid.reports.document import Document, Message, Remark, Section, bad, origin_of, plain
 from fmuid.reports.topics.assumptions import (
     assumed_section,
+    defect_remarks,
     hidden_remark,
     hidden_test,
     hiding_section,
@@ -99,7 +100,7 @@ def _remarks(found: IdentificationRun) -> list[Remark]:
     said += stretch_remarks(found.residual_stretches, len(found.fits))
     said += [gap_remark(*each) for each in found.dropouts.items()]
     said += [*others, *optima_remarks(result)]
-    said += model_error_remarks(checks.model_errors)
+    said += [*model_error_remarks(checks.model_errors), *defect_remarks(checks.data_defects)]
     said += [*reading_remarks(reading, found.output_units), *residual_remarks(residuals, found.output_units)]
     said.append(RunMessage.NOISE.said("residuals", noise=_noise(result, found.fits)))
     for component, model in result.setup.models.items():
