@@ -31,6 +31,7 @@ class Reason(Enum):
     SOLVER_ERROR = "solver_error"  # added to σ
     MODEL_ERROR = "model_error"  # named by a directed test
     DATA_DEFECT = "data_defect"  # of a recorded output
+    EXPERIMENTS_CONFLICT = "experiments_conflict"  # estimates of one and of the others differ
     PRIOR_DATA_CONFLICT = "prior_data_conflict"
     NOISE_LEVEL = "noise_level"  # of the residual, beside the given one
     INPUT_CORRELATION = "input_correlation"

@@ -3,6 +3,9 @@ from .assessment import Assessment as Assessment
 from .assessment import AssessmentSettings as AssessmentSettings
 from .assessment import assess as assess
 from .assessment import better_point as better_point
+from .contributions import Contribution as Contribution
+from .contributions import Contributions as Contributions
+from .contributions import find_contributions as find_contributions
 from .cost_map import CostMap as CostMap
 from .cost_map import map_cost as map_cost
 from .cost_map import region_rise as region_rise
@@ -12,6 +15,7 @@ from .data_defects import without_clipped as without_clipped
 from .directed_tests import find_model_errors as find_model_errors
 from .identify import identify as identify
 from .judgment import judge as judge
+from .likelihood_scaling import quantile as quantile
 from .model_comparison import IncomparableError as IncomparableError
 from .model_comparison import ModelCandidate as ModelCandidate
 from .model_comparison import ModelComparison as ModelComparison

@@ -13,6 +13,7 @@ from fmuid.blas import single_threaded
 from fmuid.codec import Layout
 from fmuid.estimation import LeastSquares, Result, check_level
 from fmuid.events import Event, MapStep, Progress
+from fmuid.identification.contributions import Contributions, find_contributions
 from fmuid.identification.data_defects import DataDefect, find_data_defects
 from fmuid.identification.directed_tests import find_model_errors
 from fmuid.identification.model_errors import ModelErrors
@@ -82,6 +83,8 @@ class Assessment:
     model_errors : ModelErrors or None
         Directed tests; None where there is nothing to test.
     data_defects : tuple of DataDefect
+    contributions : Contributions or None
+        What each experiment brings; None of one experiment in time.
     maps : tuple of CostMap
     profiles : tuple of Profile
     posterior : Posterior or None
@@ -93,6 +96,7 @@ class Assessment:
     prior_and_data: PriorDataComparison | None = None
     model_errors: ModelErrors | None = None
     data_defects: tuple[DataDefect, ...] = ()
+    contributions: Contributions | None = None
     maps: tuple[CostMap, ...] = ()
     profiles: tuple[Profile, ...] = ()
     posterior: Posterior | None = None
@@ -192,7 +196,9 @@ def assess(
         )
         errors = find_model_errors(problem.as_in(result), result) if earlier is None else earlier.model_errors
         defects = find_data_defects(problem, result)
-        found = replace(found, residuals=residuals, prior_and_data=reading, model_errors=errors, data_defects=defects)
+        brought = find_contributions(problem, result)
+        found = replace(found, residuals=residuals, prior_and_data=reading, model_errors=errors)
+        found = replace(found, data_defects=defects, contributions=brought)
     try:
         for explored in _explored(problem, result, asked, progress or (lambda _: None), found):
             found = explored

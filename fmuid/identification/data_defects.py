@@ -91,12 +91,12 @@ def _defects(model: NoiseModel, measured: Floats, simulated: Floats, levels: Flo
     step = converter_step(measured)
     if step > SETTINGS.coarse * std:
         yield DataDefect(DefectKind.QUANTIZED, *names, {"ratio": step / std})
-    for limit, _ in clipped_ends(measured, simulated):
+    for limit, _ in clipped_ends(measured, simulated) if model.series.ordered else ():
         samples = float((measured == limit).sum())
         yield DataDefect(DefectKind.CLIPPED, *names, {"limit": limit, "samples": samples})
     inside = (measured[1:] < measured.max()) & (measured[1:] > measured.min())
     share = float(np.mean((np.diff(measured) == 0.0) & inside))
-    if not step and share > SETTINGS.repeated:
+    if model.series.ordered and not step and share > SETTINGS.repeated:
         yield DataDefect(DefectKind.REPEATED, *names, {"share": share})
     for frequency in spectral_lines(model.series, measured - simulated, measured).tolist():
         yield DataDefect(DefectKind.HUM, *names, {"frequency": frequency})

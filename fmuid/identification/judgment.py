@@ -9,6 +9,7 @@ import numpy as np
 
 from fmuid.estimation import AccuracyOutcome, Doubt, Reason, Result, SearchFailure, TerminationReason, Verdict
 from fmuid.identification.assessment import Assessment, better_point
+from fmuid.identification.contributions import PRIOR
 from fmuid.identification.data_defects import DefectKind
 from fmuid.identification.model_errors import ErrorKind, ModelError, ModelErrors
 from fmuid.identification.prior_and_data import PriorDataComparison
@@ -64,6 +65,9 @@ def judge(
             told = Doubt(Reason.DATA_DEFECT, subject, each.values)
             doubts += [told] if each.kind.is_doubt else []
             freed += [told] if each.kind is DefectKind.EXCLUDED else []
+        for own in () if assessment.contributions is None else assessment.contributions.contradictions:
+            if own.experiment != PRIOR:  # tested by itself
+                doubts.append(Doubt(Reason.EXPERIMENTS_CONFLICT, (own.experiment,), {"probability": own.probability}))
         errors = assessment.model_errors
         if errors is not None:
             rough = tuple(each for each in errors.freed if ErrorKind.DEAD_TIME in each.kinds)

@@ -12,7 +12,6 @@ import numpy.typing as npt
 from fmuid.array_types import Floats
 
 Phasors = npt.NDArray[np.complex128]
-PHASES = 3
 AXES = ("rotor", "stator")
 """Axes of a model: fixed to the rotor or to the stator."""
 TRANSFORMS = ("power-invariant", "amplitude-invariant")
@@ -46,7 +45,7 @@ class MachineTerminals:
     @property
     def amplitude(self) -> float:
         """Amplitude in the axes of one unit rms a phase."""
-        return math.sqrt(PHASES if self.transform == "power-invariant" else 2.0)
+        return math.sqrt(3.0 if self.transform == "power-invariant" else 2.0)
 
     @property
     def power_factor(self) -> float:
@@ -88,7 +87,7 @@ class OperatingPhasors:
     @property
     def torque(self) -> Floats:
         """Air-gap torque (K,), N.m: air-gap power over synchronous speed."""
-        air_gap = self.power.real - PHASES * self.resistance * self.current**2
+        air_gap = self.power.real - 3.0 * self.resistance * self.current**2
         return np.asarray(air_gap * self.pole_pairs / self.supply, dtype=np.float64)
 
 

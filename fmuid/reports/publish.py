@@ -18,7 +18,7 @@ REPORT_FILE = "report.html"
 KINDS = """
 forest fit preparation prepared monitored residuals parameters cost optima belief parabolas correlation accuracy hiding
 profiles maps posterior walkers causes changes explained timeline cases distributions spread over starts failures
-prediction likelihood errors estimates excitations sensitivities
+leverage prediction likelihood errors estimates excitations sensitivities
 """.split()  # noqa: SIM905  # as a list a line each
 
 

@@ -14,6 +14,7 @@ from fmuid.formatting import fit_text, label, with_unit
 from fmuid.identification import ResidualStretch, squared_residual
 from fmuid.reports.chart import LIMITS, Axis, Chart, ChartGrid, Color, Data, Layer, short, stacked
 from fmuid.reports.document import Document, Message, Remark, Section, doubt, plain, table_of
+from fmuid.reports.topics.row_charts import CAPTIONS, row_charts
 from fmuid.simulation import OutputFit
 
 ZOOM_SHARE, ZOOM_SAMPLES = 0.06, 120
@@ -127,6 +128,11 @@ def fit_sections(
         band = (bands or {}).get(fit.experiment)
         words = heading + (f": {fit.experiment}" if len(fits) > 1 else "")
         anchor, text = (key, caption) if k == 0 else (f"{key}-{k + 1}", "")
+        if fit.kind != "time":
+            half = None if band is None else band[0]
+            told = CAPTIONS[fit.kind] if text else ""
+            sections.append(Section(anchor, words, told, charts=(row_charts(fit, half),), beside=1))
+            continue
         charts, zoom = (fit_charts(fit, band),), fit_charts(fit, band, zoomed(fit))
         sections.append(Section(anchor, words, text, charts=charts, beside=1, zoom=zoom))
     return sections

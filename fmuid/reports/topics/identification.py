@@ -10,7 +10,7 @@ import pandas as pd
 
 from fmuid.estimation import Result, Verdict
 from fmuid.formatting import fit_text, unit_text, with_std
-from fmuid.identification import ModelErrors, judge
+from fmuid.identification import ModelErrors, judge, quantile
 from fmuid.models import SolverConfiguration
 from fmuid.reports.document import Document, Message, Remark, Section, bad, origin_of, plain
 from fmuid.reports.topics.assumptions import (
@@ -22,11 +22,12 @@ from fmuid.reports.topics.assumptions import (
     model_error_remarks,
 )
 from fmuid.reports.topics.estimates import correlation_sections, estimates_section, forest_section, precision_remarks
-from fmuid.reports.topics.fit import fit_remarks, fit_sections, stretch_remarks
+from fmuid.reports.topics.fit import Band, fit_remarks, fit_sections, stretch_remarks
 from fmuid.reports.topics.optimization import optima_remarks, optima_section, optimization_sections
 from fmuid.reports.topics.preprocessing import preprocessing_sections
 from fmuid.reports.topics.prior_and_data import prior_sections, reading_remarks
 from fmuid.reports.topics.residual_analysis import residual_phrases, residual_remarks, residual_section, widening_words
+from fmuid.reports.topics.row_charts import bands, contribution_sections
 from fmuid.reports.topics.solver_check import SolverMessage, run_words, sensitivity_words, solver_section
 from fmuid.reports.topics.study_notes import gap_remark
 from fmuid.reports.topics.termination import effort_remark, result_remarks, state_and_reason
@@ -227,10 +228,18 @@ def _assumptions(found: IdentificationRun) -> list[tuple[str, str, str]]:
     return list(dict.fromkeys(rows))
 
 
+def _bands(found: IdentificationRun) -> dict[str, Band]:
+    """Return the bands of experiments without a time."""
+    level = found.assessment.level
+    factor = quantile(found.result.fit.degrees_of_freedom, level)
+    made = bands(found.assessment.contributions, found.fits, factor)
+    return {name: (half, level) for name, half in made.items()}
+
+
 def identification_sections(found: IdentificationRun) -> list[Section]:
     """Return the sections of an identification."""
     result, fits, units, estimates = found.result, found.fits, found.unit_of, found.estimates
-    checks = found.assessment
+    checks, timed = found.assessment, [fit for fit in fits if fit.kind == "time"]
     reading, residuals = checks.prior_and_data, checks.residuals
     optima = found.optima if result.history.optima else pd.DataFrame()
     none = pd.DataFrame(columns=["experiment", "output", "with"])
@@ -242,9 +251,10 @@ def identification_sections(found: IdentificationRun) -> list[Section]:
         *([interval_section(checks, result)] if checks.is_explored else []),
         *assumed_section(checks.model_errors, _assumptions(found)),
         *hiding_section(checks.model_errors),
-        *fit_sections(fits),
+        *fit_sections(fits, bands=_bands(found)),
+        *contribution_sections(checks.contributions, result.names, fits),
         *preprocessing_sections(found.prepared, len(fits) > 1),
-        *([residual_section(fits, correlations)] if fits else []),
+        *([residual_section(timed, correlations)] if timed else []),
         *optimization_sections(result, estimates, optima, found.output_units),
         *(prior_sections(reading, units) if reading is not None and found.has_prior else []),
         *correlation_sections(result, units, checks.level),

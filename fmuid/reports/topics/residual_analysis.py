@@ -100,7 +100,8 @@ def residual_phrases(found: ResidualAnalysis) -> str:
     """Return the defects of the residuals for one line of a terminal."""
     tested = [each for each in found.series if each.is_tested]
     if not tested:
-        return "not tested: too short, or rounding only"
+        ordered = any(each.noise.series.ordered for each in found.series)
+        return "not tested: too short, or rounding only" if ordered else "not tested: rows have no order"
     large = [each for each in found.findings if each.large]
 
     def named(trait: ResidualDefect) -> list[ResidualSeries]:

@@ -53,6 +53,11 @@ class VerdictMessage(Message):
         "the record itself biases estimates or intervals",
         "Record again, or weight the samples.",
     )
+    EXPERIMENTS_CONFLICT = (
+        "{first} contradicts the other experiments (p = {probability:.1g})",
+        "its own estimates differ from theirs",
+        "Check units, conditions and the model of this experiment.",
+    )
     PRIOR_DATA_CONFLICT = (
         "prior and data conflict (p = {probability:.1g})",
         "prior, model or machine differ",
