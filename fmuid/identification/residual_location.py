@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,8 @@ class LocationSettings:
 
     share: float = 0.5  # of the squared residual
     time: float = 0.1  # of the record, at most; white noise needs half of it
+    median: float = 0.4549  # of χ² with one degree of freedom
+    margin: float = 1.5  # of the time in which a transient exceeds the noise: it goes on below it
     least_samples: int = 50  # fewer have half of it in a tenth by chance
 
 
@@ -33,8 +36,10 @@ class ResidualStretch:
         Times, s.
     share, time_share : float
         Of the squared residual, and of the scored time.
-    is_first : bool
-        True if it begins in the first tenth of the scored samples.
+    excess : float
+        Squared residual there beyond that of the noise, in variances of the noise.
+    settled : float
+        Time from which the residual is noise, s, if it is large at first; else NaN.
     """
 
     experiment: str
@@ -42,20 +47,27 @@ class ResidualStretch:
     end: float
     share: float
     time_share: float
-    is_first: bool
+    excess: float
+    settled: float = math.nan
 
 
 def squared_residual(fit: OutputFit) -> Floats:
     """Return shares (K,) of the squared residual, outputs over their medians."""
-    shares = np.zeros(len(fit.times))
+    squares = _squares(fit)
+    total = float(squares.sum())
+    return squares / total if 0.0 < total < np.inf else np.zeros(len(fit.times))
+
+
+def _squares(fit: OutputFit) -> Floats:
+    """Return summed squared residuals (K,), outputs over their medians."""
+    found = np.zeros(len(fit.times))
     with np.errstate(over="ignore", invalid="ignore"):
         for error, counted in zip((fit.measured - fit.simulated).T, fit.counted.T, strict=True):
             squares = error[counted] ** 2
             scale = (float(np.median(squares)) or float(squares.mean())) if squares.size else 0.0
             if scale > 0.0:
-                shares[counted] += squares / scale
-    total = float(shares.sum())
-    return shares / total if 0.0 < total < np.inf else np.zeros(len(fit.times))
+                found[counted] += squares / scale
+    return found
 
 
 def residual_stretch(fit: OutputFit) -> ResidualStretch | None:
@@ -76,5 +88,11 @@ def residual_stretch(fit: OutputFit) -> ResidualStretch | None:
     if length > SETTINGS.time * span:
         return None
     first, last = float(times[begin]), float(times[end - 1])
+    squares, counted = SETTINGS.median * _squares(fit)[rows], fit.counted[rows].sum(axis=1)
+    settled = math.nan
+    if begin <= SETTINGS.time * rows.size:  # the sum of what exceeds twice the noise is largest where noise begins
+        above = float(times[min(int(np.argmax(np.cumsum(squares - 2.0 * counted))) + 1, rows.size - 1)])
+        settled = float(min(times[0] + SETTINGS.margin * (above - times[0]), times[-1]))
+    excess = float((squares - counted)[begin:end].sum())
     share = float(summed[end] - summed[begin])
-    return ResidualStretch(fit.experiment, first, last, share, length / span, begin <= SETTINGS.time * rows.size)
+    return ResidualStretch(fit.experiment, first, last, share, length / span, excess, settled)

@@ -65,3 +65,6 @@ from .provenance import write_origin as write_origin
 from .result_schema import result_schema_text as result_schema_text
 from .run import SearchInterruptedError as SearchInterruptedError
 from .run import identified as identified
+from .study_changes import ChangeKind as ChangeKind
+from .study_changes import StudyChange as StudyChange
+from .study_changes import offered_change as offered_change

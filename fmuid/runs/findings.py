@@ -14,6 +14,7 @@ from fmuid.codec import Layout
 from fmuid.display_mixins import PlotMixin
 from fmuid.estimation import Result, TerminationReason, Verdict, optima_table
 from fmuid.identification import Assessment, ResidualStretch, residual_stretch
+from fmuid.runs.study_changes import StudyChange
 from fmuid.simulation import OutputFit
 
 if TYPE_CHECKING:
@@ -119,6 +120,8 @@ class IdentificationRun(PlotMixin):
         Tables that were preprocessed.
     dropouts : mapping of str to tuple of float
         Experiments with missing rows: the times before, s.
+    change : StudyChange or None
+        The change of the study that should gain most.
 
     Examples
     --------
@@ -134,6 +137,7 @@ class IdentificationRun(PlotMixin):
     origin: Provenance | None = None
     prepared: tuple[PreprocessedTable, ...] = ()
     dropouts: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    change: StudyChange | None = None
 
     json_layout: ClassVar = Layout(omitted={"files"}, inlined={"result"}, derived=("intervals", "residual_stretches"))
 

@@ -32,6 +32,7 @@ from fmuid.runs.findings import IdentificationRun, at_minimum
 from fmuid.runs.folder import RESULT_FILE, write_identification
 from fmuid.runs.preprocessing import prepared
 from fmuid.runs.provenance import made_from
+from fmuid.runs.study_changes import best_change
 from fmuid.simulation import fit_of
 from fmuid.studies import BASELINE_FILE, Study
 
@@ -147,7 +148,8 @@ def _examined(study: Study, fitted: Refit, found: IdentificationRun, progress: P
     checks = assess(problem, result, asked, earlier=Assessment(asked.level, model_errors=fitted.found))
     checks = replace(checks, data_defects=(*fitted.excluded, *checks.data_defects))
     own = without_sizes(result, len(found.result.names))
-    return replace(found, result=own, fits=fits, assessment=checks, dropouts=lost)
+    found = replace(found, result=own, fits=fits, assessment=checks, dropouts=lost)
+    return replace(found, change=best_change(study, checks, found.residual_stretches))
 
 
 def _judged(found: IdentificationRun) -> IdentificationRun:

@@ -48,7 +48,8 @@ class StudyFile(StudySection):
 def override(data: dict[str, Any], setting: str, file: str) -> None:
     """Set one value of a study in place by its dotted path; a value that is no TOML is a string.
 
-    List entries go by number (``experiments.0.data``). ``parameters.Rs=9.8`` fixes a parameter.
+    List entries go by number (``experiments.0.data``). ``parameters.Rs=9.8`` fixes a parameter,
+    ``parameters.J={ start = 1.0 }`` frees a fixed one.
     """
     path, equals, text = setting.partition("=")
     segments = _segments(path)
@@ -60,6 +61,10 @@ def override(data: dict[str, Any], setting: str, file: str) -> None:
     if segments[0] == "parameters" and one and type(value) in (int, float):
         del data["parameters"][name]
         segments = ["model", "fixed", name]
+    elif segments[0] == "parameters" and isinstance(value, dict) and isinstance(model := data.get("model"), dict):
+        fixed = model.get("fixed")
+        if isinstance(fixed, dict):
+            fixed.pop(name, None)
     _assign(data, segments, value, (), StudyFile, f"--set {setting}: {file}")
 
 

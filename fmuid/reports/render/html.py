@@ -91,6 +91,7 @@ def verdict(document: Document) -> str:
     badge = f'<span class="badge {document.tone}">{text(document.state)}</span>'
     heading = f"<h2>{text(document.heading)} {badge}</h2>"
     reason = f"<p class=reason>{text(capitalized(document.reason))}</p>" if document.reason else ""
+    reason += f"<p class=remedy>→ {_marked(document.remedy)}</p>" if document.remedy else ""
     unsure = f"<h3>Doubts</h3><ul class=doubts>{doubts}</ul>" if doubts else ""
     tables = ""
     for each in document.sections:

@@ -139,7 +139,7 @@ def defect_remarks(found: Sequence[DataDefect]) -> list[Remark]:
 def error_words(found: Doubt) -> str:
     """Return a model error of a verdict."""
     kind, direction = ErrorKind(found.subject[0]), _direction(found)
-    size = size_text(direction, abs(found.values["size"]), found.values["std"])
+    size = size_text(direction, found.values["size"], found.values["std"])
     return ModelErrorMessage[kind.name].text.format(**_fields(kind, direction.subject, size))
 
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from fmuid.estimation import Result, Verdict
+from fmuid.estimation import Grade, Result, Verdict
 from fmuid.formatting import fit_text, unit_text, with_std
 from fmuid.identification import ModelErrors, judge, quantile
 from fmuid.models import SolverConfiguration
@@ -29,6 +29,7 @@ from fmuid.reports.topics.prior_and_data import prior_sections, reading_remarks
 from fmuid.reports.topics.residual_analysis import residual_phrases, residual_remarks, residual_section, widening_words
 from fmuid.reports.topics.row_charts import bands, contribution_sections
 from fmuid.reports.topics.solver_check import SolverMessage, run_words, sensitivity_words, solver_section
+from fmuid.reports.topics.study_changes import change_line
 from fmuid.reports.topics.study_notes import gap_remark
 from fmuid.reports.topics.termination import effort_remark, result_remarks, state_and_reason
 from fmuid.reports.topics.uncertainty import interval_section, uncertainty_remarks
@@ -69,8 +70,15 @@ def identification_document(found: IdentificationRun) -> Document:
         **origin_of(found.origin, _models(result)),
         reason=_reason(result, verdict),
         summary=_summary(found, said),
-        remedy="" if tone == "bad" else remedy_words(verdict),
+        remedy=_remedy(found, verdict),
     )
+
+
+def _remedy(found: IdentificationRun, verdict: Verdict) -> str:
+    """Return the best change, or the remedy of the gravest reason."""
+    if verdict.grade is Grade.NOT_USABLE:
+        return ""
+    return remedy_words(verdict) if found.change is None else change_line(found.change)
 
 
 def _reason(result: Result, verdict: Verdict) -> str:

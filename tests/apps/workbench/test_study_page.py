@@ -1,5 +1,6 @@
 """The page of a study without a browser: sliders are moved, callbacks run by hand."""
 
+import json
 import threading
 import time
 from collections.abc import Sequence
@@ -199,6 +200,23 @@ def test_remedies_of_a_parameter_that_is_not_identifiable(page: Page, path: Path
     result(tmp_path, {"R": (4.0, 0.1), "L": (0.1, 0.1)})
     remedies.tell(tmp_path)
     assert remedies.layout.children == []
+
+
+def test_the_offered_change_is_a_button(page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    result(tmp_path, {"R": (4.0, 0.1), "L": (0.1, 0.1)})
+    content = json.loads((tmp_path / "result.json").read_text())
+    settings = ['experiments.0.interpolation="linear"']
+    content["change"] = {
+        "kind": "interpolation", "subject": ["u"], "value": "linear", "settings": settings, "gain": 37.0
+    }  # fmt: skip
+    (tmp_path / "result.json").write_text(json.dumps(content))
+    begun: list[list[str]] = []
+    monkeypatch.setattr(page.page.identifying, "begin", lambda: begun.append(page.page.words("identify")))
+    page.page.identifying.remedies.tell(tmp_path)
+    (offer,) = page.page.identifying.remedies.layout.select({"type": Button})
+    offer._trigger_event(ButtonClick(offer))
+    assert [words[-2:] for words in begun] == [["--set", *settings]]
+    page.page._given = []
 
 
 @pytest.mark.slow

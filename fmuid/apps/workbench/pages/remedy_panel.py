@@ -22,7 +22,8 @@ from fmuid.estimation import Result
 from fmuid.files import is_file, relative
 from fmuid.formatting import of_parameter
 from fmuid.reports.render.html import text as escaped
-from fmuid.runs import study_of
+from fmuid.reports.topics.study_changes import change_line, change_title
+from fmuid.runs import offered_change, study_of
 from fmuid.studies import Study, quoted_key, read_toml, toml_text
 
 DESIGN = "design"  # subfolder of the results for the comparison of excitations
@@ -52,6 +53,9 @@ class StudyPageProtocol(Protocol):
 
     def put(self, values: dict[str, float], *, note: bool = True) -> None:
         """Move sliders."""
+
+    def try_change(self, settings: Sequence[str]) -> None:
+        """Identify with other values of the study."""
 
     def note(self) -> None:
         """Store a state for undo, and update the command."""
@@ -110,7 +114,16 @@ class RemedyPanel:
             text = words("which", f"<p>{_which(name)}</p>")
             lines.append(column(text, row(hold, prior, stylesheets=[LINE]), **WIDE))
         heading = words("remedy", "<h3>Remedies</h3>")
-        self.layout.children = [heading, *lines, self.excitations.layout] if names else []
+        remedies = [heading, *lines, self.excitations.layout] if names else []
+        self.layout.children = [*self._offer(folder), *remedies]
+
+    def _offer(self, folder: Path) -> list[Any]:
+        """Return the button of the change that gains most, and its line."""
+        change = offered_change(folder / "result.json")
+        if change is None:
+            return []
+        said = words("offer", f"<p>{escaped(change_line(change))}</p>")
+        return [column(said, button(change_title(change), partial(self.page.try_change, change.settings)), **WIDE)]
 
     def _hold(self, name: str) -> None:
         row = self._row(name)

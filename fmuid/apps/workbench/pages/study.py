@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import time
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -153,6 +154,12 @@ class StudyPage:
 
     def _state(self) -> tuple[tuple[float, bool], ...]:
         return tuple((each.value, each.held) for each in self.rows)
+
+    def try_change(self, settings: Sequence[str]) -> None:
+        """Identify with other values of the study."""
+        self._given = last_of(*self._given, *settings)
+        self._tell_command()
+        self.identifying.begin()
 
     def note(self) -> None:
         """Store a state for undo, and update the commands."""
