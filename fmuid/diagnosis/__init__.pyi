@@ -7,6 +7,7 @@ from .baseline import Baseline as Baseline
 from .baseline import BaselineSource as BaselineSource
 from .baseline import StoredBaseline as StoredBaseline
 from .baseline_comparator import compute_stored_baseline as compute_stored_baseline
+from .baseline_comparator import extend_stored_baseline as extend_stored_baseline
 from .cause_results import CauseScore as CauseScore
 from .cause_results import ChangeEvidence as ChangeEvidence
 from .cause_results import EstimatedChange as EstimatedChange
@@ -32,6 +33,7 @@ from .monitor_store import TABLE_FILE as TABLE_FILE
 from .monitor_store import DamagedStateError as DamagedStateError
 from .monitor_store import damage_of as damage_of
 from .onset import OnsetShape as OnsetShape
+from .operating_points import Coverage as Coverage
 from .rule import FALSE_ALARM_LEVEL as FALSE_ALARM_LEVEL
 from .rule import MODEL_ERROR as MODEL_ERROR
 from .rule import Rule as Rule

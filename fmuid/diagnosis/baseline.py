@@ -74,7 +74,7 @@ class MachineDigest:
             said = (list(fault.parameters), fault.variable_map, fault.angles, fault.values, fault.inputs)
             models[name] = _digest(_model(System.of(fault.model)), said)
         names = tuple(f"{each.name}{' across' * each.second}" for each in coordinates.each)
-        noise, records = as_json(baseline.noise_variance), tuple(map(_of_record, baseline.records))
+        noise, records = as_json(baseline.noise_variance), tuple(map(digest_of_record, baseline.records))
         return cls(models, names, coordinates.healthy, noise, records)
 
     def unlike(self, asked: MachineDigest, *, fewer: bool) -> BaselineSource | None:
@@ -89,7 +89,7 @@ class MachineDigest:
             return BaselineSource.OTHER_MODELS
         if self.noise != asked.noise:
             return BaselineSource.OTHER_NOISE
-        if asked.records and sorted(asked.records) != sorted(self.records):
+        if not set(asked.records) <= set(self.records):
             return BaselineSource.OTHER_RECORDS
         return None
 
@@ -113,6 +113,18 @@ class StoredBaseline:
     whitening: Whitening
     subject: MachineDigest | None = None
     path: Path | None = None  # the file that it was read from
+
+    def extended(self, new: StoredBaseline, digests: Sequence[str]) -> StoredBaseline:
+        """Return the baseline with more records, of the same coordinates and noise."""
+        assert self.subject is not None
+        structure = HealthyStructure(
+            self.structure.groups,
+            (*self.structure.records, *new.structure.records),
+            self.structure.samples + new.structure.samples,
+        )
+        points = OperatingPoints(self.points.names, np.vstack([self.points.values, new.points.values]))
+        subject = replace(self.subject, records=(*self.subject.records, *digests))
+        return StoredBaseline((*self.said, *new.said), structure, points, self.whitening, subject)
 
     def write(self, path: Path) -> Path:
         """Write ``baseline.npz`` and return its path."""
@@ -168,7 +180,7 @@ def _digest(*content: Any) -> str:
     return hashlib.sha256(json.dumps(as_json(content), sort_keys=True).encode()).hexdigest()
 
 
-def _of_record(record: Experiment) -> str:
+def digest_of_record(record: Experiment) -> str:
     """Return the digest of a record's numbers."""
     names = [record.input_names, record.output_names, record.interpolation]
     found = hashlib.sha256(_digest(names).encode())

@@ -11,7 +11,7 @@ import numpy as np
 from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
 from fmuid.data import Experiment
-from fmuid.diagnosis.baseline import Baseline, BaselineSource, MachineDigest, StoredBaseline
+from fmuid.diagnosis.baseline import Baseline, BaselineSource, MachineDigest, StoredBaseline, digest_of_record
 from fmuid.diagnosis.cause_analysis import BaselineStatistics, error_of, shown_by, whitening_of
 from fmuid.diagnosis.causes import SETTINGS as CAUSES
 from fmuid.diagnosis.causes import Causes, ChangeParameterSet, coordinates_of
@@ -123,6 +123,33 @@ def compute_stored_baseline(
     shown = BaselineComparator.of(system, baseline, faults, causes, []).shown
     assert shown is not None  # there are records
     return shown
+
+
+@single_threaded
+def extend_stored_baseline(
+    baseline: Baseline, faults: Mapping[str, Fault], system: System, causes: Causes, records: Sequence[Experiment]
+) -> StoredBaseline:
+    """Return the sums of a baseline with more healthy records; without file those of all records.
+
+    Raises
+    ------
+    InputError
+        If records, models and faults do not fit together, or a record counts already.
+    SimulationError
+        If the healthy machine cannot be simulated.
+    """
+    known = baseline.shown
+    if known is None:
+        whole = replace(baseline, records=[*baseline.records, *records])
+        return compute_stored_baseline(whole, faults, system, causes)
+    made = BaselineComparator.of(system, replace(baseline, records=()), faults, causes, records)
+    assert made.shown is not None and made.shown.subject is not None  # the file serves
+    digests = [digest_of_record(each) for each in records]
+    for digest, each in zip(digests, records, strict=True):
+        if digest in made.shown.subject.records:
+            raise InputError(f"{each.source}: in the baseline {known.path} already. Remove it from the list.")
+    new = shown_by([made.machine(each) for each in records], made.shown.whitening, made.coordinates)
+    return made.shown.extended(new, digests)
 
 
 def _check(first: Experiment, others: Sequence[Experiment], baseline: Baseline) -> None:

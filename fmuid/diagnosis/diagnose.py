@@ -132,6 +132,7 @@ def diagnose(
             refined = tuple(_refined(each, faults[each.fault], fitted, kappa) for each in best.changes)
             explanations = (Explanation(refined, best.odds), *evidence.explanations[1:])
             evidence = replace(evidence, explanations=explanations)
+    points = made.healthy.points
     values = (made.coordinates.healthy + found.estimate.mean).tolist()
     stds = np.sqrt(np.maximum(np.diag(found.estimate.covariance), 0.0)).tolist()
     return Diagnosis(
@@ -147,6 +148,7 @@ def diagnose(
         result=fitted,
         residuals=_residuals(listed[0], found) if evidence.explanations else None,
         mismatched=_mismatched(machines, made),
+        coverage=None if points is None else points.coverage(listed),
     )
 
 

@@ -11,6 +11,7 @@ import pandas as pd
 
 from fmuid import codec
 from fmuid.diagnosis.cause_results import ChangeEvidence, EstimatedChange
+from fmuid.diagnosis.operating_points import Coverage
 from fmuid.diagnosis.unexplained_residual import VarianceRatio
 from fmuid.display_mixins import PlotMixin
 from fmuid.errors import InputError
@@ -62,6 +63,8 @@ class Diagnosis(PlotMixin):
         That fit; not kept in a file.
     mismatched : tuple of str
         Faults whose models without their fault are not the healthy machine.
+    coverage : Coverage or None
+        Operating points of the healthy records; None of a result alone.
     residuals : DataFrame or None
         Of the first experiment, ``healthy.`` and ``fault.`` before each output; not kept in a file.
 
@@ -86,6 +89,7 @@ class Diagnosis(PlotMixin):
     result: Result | None = None
     mismatched: tuple[str, ...] = ()
     residuals: pd.DataFrame | None = None
+    coverage: Coverage | None = None
 
     json_layout: ClassVar = codec.Layout(omitted={"result", "residuals"}, derived=("kind", "named"))
 

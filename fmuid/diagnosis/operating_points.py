@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,6 +40,25 @@ class OutsideRange:
     high: float
 
 
+@dataclass(frozen=True)
+class Coverage:
+    """Healthy records of a diagnosis, and its record outside of them.
+
+    Attributes
+    ----------
+    records : int
+        Healthy records.
+    ranges : mapping of str to (low, high)
+        Their mean and rms value of each input.
+    outside : tuple of OutsideRange
+        Quantities of the examined record beyond a margin of these.
+    """
+
+    records: int
+    ranges: Mapping[str, tuple[float, float]]
+    outside: tuple[OutsideRange, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class OperatingPoints:
     """Operating points of healthy records: inputs' means and rms values."""
@@ -62,6 +81,11 @@ class OperatingPoints:
         """Return the lowest and the highest value of each quantity."""
         low, high = self.values.min(axis=0).tolist(), self.values.max(axis=0).tolist()
         return dict(zip(self.names, zip(low, high, strict=True), strict=True))
+
+    def coverage(self, records: Sequence[Experiment]) -> Coverage:
+        """Return what the healthy records cover, beside other records."""
+        outside = tuple(each for one in records for each in self.outside(one))
+        return Coverage(len(self.values), self.ranges(), outside)
 
     def outside(self, record: Experiment) -> tuple[OutsideRange, ...]:
         """Return the quantities of a record outside the ranges and their margins."""

@@ -19,6 +19,7 @@ from .batch.summary import Dependence as Dependence
 from .batch.summary import Summary as Summary
 from .batch.summary import write_overview as write_overview
 from .faults import diagnosed as diagnosed
+from .faults import extended_baseline as extended_baseline
 from .faults import findings_of as findings_of
 from .faults import healthy_record_cost as healthy_record_cost
 from .faults import monitored as monitored

@@ -21,6 +21,7 @@ from fmuid.diagnosis import (
     Rule,
     StoredBaseline,
     compute_stored_baseline,
+    extend_stored_baseline,
 )
 from fmuid.errors import FmuidError, InputError
 from fmuid.estimation import Result
@@ -82,6 +83,19 @@ def shown_by(study: Study) -> Callable[[Result], StoredBaseline] | None:
         return compute_stored_baseline(healthy, faults, study.system, settings.causes)
 
     return shown
+
+
+def extended_baseline(study: Study, tables: Sequence[str | Path]) -> tuple[Path, StoredBaseline]:
+    """Make or extend the baseline file of a study by healthy records; return its path and sums."""
+    settings = study.fault_search
+    faults, known = settings.fault_models(study.system, study.model, study.data), _healthy(study)
+    path = settings.baseline_file
+    records = [record for record, _ in records_like(study, [Path(table) for table in tables])]
+    try:
+        made = extend_stored_baseline(known, faults, study.system, settings.causes, records)
+    except InputError as error:
+        raise InputError(f"{settings.place}: {error}") from None
+    return made.write(path), made
 
 
 def _healthy(study: Study) -> Baseline:

@@ -160,8 +160,14 @@ class DiagnosisSection(StudySection):
     @property
     def kept(self) -> Path | None:
         """File of the stored baseline, if any."""
-        path = None if self.source is None else self.source.path.with_name(BASELINE_FILE)
-        return path if path is not None and is_file(path) else None
+        return self.baseline_file if self.source is not None and is_file(self.baseline_file) else None
+
+    @property
+    def baseline_file(self) -> Path:
+        """Place of the stored baseline, beside the healthy result."""
+        if self.source is None:
+            raise InputError("missing key 'baseline'. Set baseline = \"healthy/result.json\".")
+        return self.source.path.with_name(BASELINE_FILE)
 
     def fault_models(self, system: System, model: ParsedModel, data: Mapping[str, Any]) -> dict[str, Fault]:
         """Return the faults; `data` is the content of the study file."""

@@ -10,7 +10,8 @@ import pandas as pd
 import pytest
 
 import fmuid
-from fmuid.diagnosis import BaselineSource
+from fmuid.apps.cli.app import run
+from fmuid.diagnosis import BaselineSource, StoredBaseline
 from fmuid.diagnosis.baseline_comparator import BaselineComparator
 from fmuid.reports.topics.diagnosis import UNLIKE, basis_notes
 from fmuid.runs import FollowStatus
@@ -23,6 +24,20 @@ EXPERIMENT = {"data": "healthy.csv", "inputs": ["u"], "outputs": ["i"], "interpo
 FAULTS = {
     "turns": {"fmu": str(FMUS / "CoilTurns/CoilTurns.fmu"), "parameters": {"lost": {"nominal": 0.1, "max": 0.9}}},
 }
+STUDY = f"""
+[model]
+fmu = "{FMUS}/Coil/Coil.fmu"
+[[experiments]]
+data = "test1.csv"
+inputs = ["u"]
+outputs = ["i"]
+interpolation = "zoh"
+[diagnosis]
+baseline = "healthy/result.json"
+std_factor = {{ R = 10.0 }}
+causes.sensor_delay = false
+faults.turns = {{ fmu = "{FMUS}/CoilTurns/CoilTurns.fmu", parameters.lost = {{ nominal = 0.1, max = 0.9 }} }}
+"""
 START = {"R": {"start": 3.0}, "L": {"start": 0.2}}
 
 
@@ -133,3 +148,41 @@ def test_a_run_without_faults_removes_the_file(kept: Path, tmp_path: Path) -> No
     folder = shutil.copytree(kept, tmp_path / "a")
     identified(folder)
     assert not (folder / "healthy/baseline.npz").is_file()
+
+
+def test_a_baseline_is_made_and_extended(kept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Made of one record, extended by another: as of both at once; a record counts once."""
+    folder = shutil.copytree(kept, tmp_path / "a")
+    study = folder / "test.toml"
+    study.write_text(STUDY)
+    file = folder / "healthy" / "baseline.npz"
+    file.unlink()
+    warm = pd.read_csv(COIL / "test2.csv").head(400)
+    warm["u"] *= 2.0
+    warm["i"] *= 2.0
+    warm.to_csv(folder / "warm.csv", index=False)
+
+    def baseline(*names: str) -> tuple[int, str]:
+        code = run(["baseline", str(study), *(str(folder / name) for name in names)])
+        given = capsys.readouterr()
+        return code, " ".join((given.out + given.err).split())
+
+    code, said = baseline("healthy.csv")
+    assert code == 0 and "Baseline of 1 healthy recordings" in said and "rms(u) 1 1" in said
+    first = StoredBaseline.read(file)
+    code, said = baseline("warm.csv")
+    assert code == 0 and "2 recordings: the model's error" in said
+    both = StoredBaseline.read(file)
+    assert both.said[0].matrix == pytest.approx(first.said[0].matrix)
+    assert (len(both.said), len(both.structure.records), both.points.ranges()["rms(u)"]) == (2, 2, (1.0, 2.0))
+    code, said = baseline("warm.csv")
+    assert code == 2 and "already. Remove it from the list." in said
+    found = asked(folder, causes={"sensor_delay": False}).diagnose()
+    assert found.coverage is not None and (found.coverage.records, found.coverage.outside) == (2, ())
+    frame = pd.read_csv(folder / "test1.csv")
+    frame[["u", "i"]] *= 4.0
+    frame.to_csv(folder / "test1.csv", index=False)
+    far = asked(folder, causes={"sensor_delay": False}).diagnose()
+    assert far.coverage is not None and "rms(u)" in [each.name for each in far.coverage.outside]
+    words = str(fmuid.Document.of(far))
+    assert "outside the baseline)" in words and "Outside the baseline: rms(u) = 4" in words

@@ -14,7 +14,7 @@ import pytest
 from rich.console import Console
 from rich.text import Text
 
-from fmuid.diagnosis import BaselineSource
+from fmuid.diagnosis import BaselineSource, Coverage
 from fmuid.diagnosis.alarms import Alarm, Trend
 from fmuid.diagnosis.cause_results import CauseScore, ChangeEvidence, EstimatedChange, Explanation
 from fmuid.diagnosis.causes import CauseKind
@@ -85,9 +85,9 @@ def test_timeline(windows: pd.DataFrame) -> None:
         ("fault", 1, BaselineSource.RECORDS, "FAULT: turns, dR = 0.300 ± 0.050 Ohm (p = 1e-09)."),
         ("ambiguous", 2, BaselineSource.RECORDS, "CHANGE, indistinguishable: turns, dR = 0.300 ± 0.050 Ohm or gain"),
         ("unexplained", 0, BaselineSource.RESULT, "UNEXPLAINED CHANGE: residual variance is 1.9 ×"),
-        ("unexplained", 0, BaselineSource.RECORDS, "UNEXPLAINED CHANGE: residual–input correlation"),
+        ("unexplained", 0, BaselineSource.RECORDS, "UNEXPLAINED CHANGE: residual differs"),
         ("undecided", 0, BaselineSource.RECORDS, "UNDECIDED: turns.dR indistinguishable"),
-        ("healthy", 0, BaselineSource.RECORDS, "NO FAULT at 1 % false-alarm rate (p = 1e-09); most likely: turns"),
+        ("healthy", 0, BaselineSource.RECORDS, "HEALTHY at 1 % false-alarm rate (p = 1e-09); most likely: turns"),
     ],
 )
 def test_diagnosis_verdict(
@@ -97,11 +97,12 @@ def test_diagnosis_verdict(
     evidence = replace(news, explanations=news.explanations[:explanations], basis=basis, alarm=alarm, steady=False)
     left = SimpleNamespace(ratio=1.9, probability=1e-3, larger=True)
     found: Any = SimpleNamespace(kind=kind, evidence=evidence, unexplained=left, level=0.01, undetermined=("turns.dR",))
+    found.coverage = Coverage(1, {"rms(u)": (1.0, 2.0)}, ())
     assert diagnosis.verdict(found).text.startswith(said)
     found.deviation, found.fitted, found.accuracy, found.mismatched = None, (), None, ("turns",)
     notes = [each.message.partition(".")[2] for each in diagnosis.diagnosis_notes(found)]
-    expected = ["MISMATCHED", *["PARTLY"] * alarm, *["NOT_TESTED"] * (basis is BaselineSource.RESULT)]
-    assert notes == expected + ["UNSTEADY"] * alarm
+    expected = [*["CHECK"] * alarm, "COVERED", "MISMATCHED", *["PARTLY"] * alarm]
+    assert notes == [*expected, *["NOT_TESTED"] * (basis is BaselineSource.RESULT), *["UNSTEADY"] * alarm]
 
 
 @pytest.mark.parametrize(

@@ -73,6 +73,7 @@ for command in (
     studies.monitor,
     batch.batch,
     results.report,
+    studies.baseline,
     studies.design,
     results.predict,
     results.compare,

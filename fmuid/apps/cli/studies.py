@@ -259,6 +259,27 @@ def _follow(
 
 
 @showing_findings
+def baseline(
+    study: StudyFile,
+    data: Annotated[
+        list[Path], Argument(metavar="DATA", help="Healthy recordings, or folders of them.", show_default=False)
+    ],
+    set_: Overrides = None,
+    no_isolation: NoIsolation = False,
+) -> int:
+    """Make or extend the baseline file of a study by healthy recordings."""
+    with opened(study, set_, no_isolation, folder_of(None, study)) as read:
+        from fmuid.reports.render import console
+        from fmuid.reports.topics.baseline import baseline_document
+        from fmuid.runs import extended_baseline
+
+        path, made = extended_baseline(read, data)
+        console.show(baseline_document(made))
+        console.show_files([path])
+        return DONE
+
+
+@showing_findings
 def design(
     study: StudyFile,
     data: Annotated[

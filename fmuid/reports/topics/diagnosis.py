@@ -68,14 +68,14 @@ class DiagnosisMessage(Message, section="causes"):
 
     FAULT = plain("FAULT: {causes} (p = {p}).", "p: probability of such a change without a fault")
     EQUAL = plain("{kind}, indistinguishable: {causes} (p = {p}).", remedy="Use another excitation.")
-    CHANGE = plain("CHANGE without fault: {causes} (p = {p}).")
+    CHANGE = plain("CHANGE WITHOUT FAULT: {causes} (p = {p}).")
     UNEXPLAINED = plain(
         "UNEXPLAINED CHANGE: residual variance is {ratio:.3g} × baseline{even} (p = {p}).",
         "a fault without a model",
         "Add a fault model, or check sensors and inputs.",
     )
     UNEXPLAINED_INPUTS = plain(
-        "UNEXPLAINED CHANGE: residual–input correlation differs from healthy data (p = {p}).",
+        "UNEXPLAINED CHANGE{closest}: residual differs from healthy data (p = {p}).",
         "a fault without a model, or another operating point",
         "Add a fault model, or healthy data of this operating point.",
     )
@@ -84,11 +84,18 @@ class DiagnosisMessage(Message, section="causes"):
         "allowed: by the baseline's uncertainty, times `std_factor`",
         "Reduce `std_factor`, or use another excitation.",
     )
-    NO_FAULT = plain(
-        "NO FAULT at {level:g} % false-alarm rate (p = {p}){likely}.",
+    HEALTHY = plain(
+        "HEALTHY at {level:g} % false-alarm rate (p = {p}){likely}.",
         "smaller faults remain possible: see `fmuid design`",
     )
     PARTLY = doubt("The causes explain {share:.0%} of the change; their sizes are approximate.")
+    CHECK = plain("Check first: {what}.", "what most often causes such a change")
+    COVERED = plain("Baseline: {count} healthy records; {ranges}.", "mean and rms values of the inputs")
+    OUTSIDE = doubt(
+        "Outside the baseline: {name} = {value:.3g}, healthy {low:.3g} to {high:.3g}.",
+        "an operating point that no healthy record has",
+        "Add healthy data of this operating point.",
+    )
     COMMON = plain("Healthy parameters: {values}.")
     RESIDUAL = plain(
         "Residual variance: {ratio:.3g} × baseline (p = {probability:.2g}).",
@@ -140,9 +147,11 @@ def verdict(found: Diagnosis) -> Remark:
     """Return the verdict."""
     evidence = found.evidence
     said = [explanation_words(each) for each in evidence.explanations]
-    given: dict[str, object] = {"p": chance(evidence.probability)}
+    outside = ", outside the baseline" if found.coverage is not None and found.coverage.outside else ""
+    given: dict[str, object] = {"p": chance(evidence.probability) + outside}
     if found.kind == "unexplained":
-        given["p"] = chance(found.unexplained.probability)
+        given["p"] = chance(found.unexplained.probability) + outside
+        given["closest"] = f", closest: {said[0]}" if said else ""
         given |= {"ratio": found.unexplained.ratio, "even": f" even with {said[0]}" if said else ""}
         from_result = evidence.basis.alone
         how = DiagnosisMessage.UNEXPLAINED if from_result else DiagnosisMessage.UNEXPLAINED_INPUTS
@@ -160,14 +169,14 @@ def verdict(found: Diagnosis) -> Remark:
         likely = min(evidence.suspects, key=lambda each: each.probability, default=None)
         given["likely"] = "" if likely is None else f"; most likely: {change_name(likely.change)}"
         given["level"] = 100 * found.level
-        how = DiagnosisMessage.NO_FAULT
+        how = DiagnosisMessage.HEALTHY
     return how.said(**given)
 
 
 def diagnosis_notes(found: Diagnosis) -> list[Remark]:
     """Return the notes beside the verdict."""
     evidence = found.evidence
-    notes = deviation_notes(found.deviation)
+    notes = [*check_first(found), *coverage_notes(found), *deviation_notes(found.deviation)]
     notes += solver_remarks(found.fitted, found.accuracy)
     notes += [DiagnosisMessage.MISMATCHED.said("changes", name=name) for name in found.mismatched]
     if evidence.alarm and found.unexplained.larger and found.kind != "unexplained":
@@ -177,6 +186,36 @@ def diagnosis_notes(found: Diagnosis) -> list[Remark]:
     notes += basis_notes(evidence.basis)
     if evidence.alarm and not evidence.steady:
         notes.append(DiagnosisMessage.UNSTEADY.said())
+    return notes
+
+
+CHECKS = {
+    "gain": "scaling and range of sensor {}",
+    "offset": "zero of sensor {}",
+    "delay": "filter and sampling time of sensor {}",
+    "input gain": "supply and measurement of {}",
+    "parameter": "temperature, and value of {}",
+    "joint": "terminals and joints of line {}",
+    "dead time": "dead time of the inverter{}",
+}
+
+
+def check_first(found: Diagnosis) -> list[Remark]:
+    """Return what to check first: the causes of the verdict."""
+    each = [change for one in found.evidence.explanations for change in one.changes]
+    said = [f"the part that {e.fault} models" if e.fault else CHECKS[e.kind.value].format(e.variable) for e in each]
+    return [DiagnosisMessage.CHECK.said(what="; ".join(dict.fromkeys(said)))] if said else []
+
+
+def coverage_notes(found: Diagnosis) -> list[Remark]:
+    """Return the operating points of the baseline."""
+    if found.coverage is None:
+        return []
+    ranges = ", ".join(f"{name} {low:.3g} to {high:.3g}" for name, (low, high) in found.coverage.ranges.items())
+    notes = [DiagnosisMessage.COVERED.said(count=found.coverage.records, ranges=ranges)]
+    for each in found.coverage.outside:
+        given = {"name": each.name, "value": each.value, "low": each.low, "high": each.high}
+        notes.append(DiagnosisMessage.OUTSIDE.said(**given))
     return notes
 
 
