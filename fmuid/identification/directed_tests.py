@@ -16,7 +16,8 @@ import scipy
 from scipy import special
 
 from fmuid.array_types import Floats
-from fmuid.estimation import LeastSquares, ResidualNoise, Result, augmented
+from fmuid.blas import single_threaded
+from fmuid.estimation import Autoregression, LeastSquares, ResidualNoise, Result, augmented
 from fmuid.identification.acquisition_delay import DELAY_PRIOR, delay_columns
 from fmuid.identification.model_errors import LEVEL, DirectedTest, Direction, ErrorKind, ModelError, ModelErrors
 
@@ -47,12 +48,18 @@ class WhitenedRows:
         assert local is not None and noise is not None, "a result from a file has neither"
         columns = np.stack([each.column for each in directions], axis=1) / local.levels[:, None]
         self.directions, self.problem, self.result = directions, problem, result
+        self.is_colored = any(_is_colored(each.process) for each in noise.models)
         self.raw = np.column_stack([local.residual, -local.jacobian, columns])
         self.prior = np.column_stack([local.prior_residual, -local.prior_jacobian])
         self.shift = np.nan_to_num(_response(problem, result, columns) / result.std[:, None])
         beside = np.hstack([self.prior, np.zeros((len(self.prior), len(directions)))])
         rows, first = np.vstack([whitened(noise, self.raw), beside]), 1 + len(result.names)
         self.residual, self.sensitivities, self.columns = rows[:, 0], rows[:, 1:first], rows[:, first:]
+
+
+def _is_colored(process: Autoregression) -> bool:
+    """Return True if noise differs from white noise significantly (2 σ)."""
+    return bool(process.pole or np.abs(process.coefficients).sum() > 2.0 / math.sqrt(max(process.samples, 1)))
 
 
 def _response(problem: LeastSquares, result: Result, columns: Floats) -> Floats:
@@ -98,7 +105,8 @@ def score_directions(rows: WhitenedRows, known: Sequence[int] = ()) -> list[Dire
     rest = np.maximum(float(residual @ residual) - products**2, 1e-300) / max(free - 1, 1)
     scores = np.sign(products) * normal_scores(np.abs(products) / np.sqrt(rest), free - 1)
     beside = np.zeros(len(testable))
-    for k in np.argsort(-np.abs(_unweighted(rows, known, testable)))[: SETTINGS.checked].tolist():
+    checked = SETTINGS.checked if rows.is_colored else 0
+    for k in np.argsort(-np.abs(_unweighted(rows, known, testable)))[:checked].tolist():
         beside[k] = _wald_score(rows, [*known, testable[k]])
     one_sided = np.array([rows.directions[j].one_sided for j in testable], bool)
     if one_sided.any():
@@ -114,7 +122,9 @@ def score_directions(rows: WhitenedRows, known: Sequence[int] = ()) -> list[Dire
         k = testable.index(j)
         std = spread / lengths[j]
         detectable = float(std * (critical + special.ndtri(SETTINGS.power)))
-        score, probability = _larger(null, float(scores[k]), float(beside[k]))
+        score, probability = _larger(
+            null, float(scores[k]), float(beside[k]), SETTINGS.checked_share if checked else 0.0
+        )
         size = float(products[k] / lengths[j])
         found.append(DirectedTest(each, float(share[j]), score, probability, size, float(std), detectable, shift))
     return found
@@ -153,10 +163,10 @@ def normal_scores(t: Floats, freedom: float) -> Floats:
     return np.asarray(-special.ndtri_exp(np.log(np.maximum(special.stdtr(freedom, -t), 1e-300))))
 
 
-def _larger(null: Floats, score: float, beside: float) -> tuple[float, float]:
-    """Return the more significant of two scores, and its probability."""
-    own = probability_of(null, abs(score)) / (1.0 - SETTINGS.checked_share)
-    other = probability_of(null, abs(beside)) / SETTINGS.checked_share if beside else 1.0
+def _larger(null: Floats, score: float, beside: float, share: float) -> tuple[float, float]:
+    """Return the more significant of two scores, the second with a share of the level."""
+    own = probability_of(null, abs(score)) / (1.0 - share)
+    other = probability_of(null, abs(beside)) / share if beside else 1.0
     return (score, min(own, 1.0)) if own <= other else (beside, min(other, 1.0))
 
 
@@ -183,6 +193,7 @@ def probability_of(null: Floats, score: float) -> float:
     return float(min(1.0, effective * 2.0 * special.ndtr(-score)))
 
 
+@single_threaded
 def find_model_errors(problem: LeastSquares, result: Result) -> ModelErrors | None:
     """Test all directions of a result; select significant ones, the strongest first, each beside the others.
 

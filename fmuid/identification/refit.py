@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fmuid.array_types import Floats
+from fmuid.blas import single_threaded
 from fmuid.data import Parameter
 from fmuid.estimation import Estimates, Evaluator, FunctionPredictions, LeastSquares, Marquardt, Result, SolverCheck
 from fmuid.events import Progress
@@ -127,6 +128,7 @@ def _first(found: Estimates, count: int) -> Estimates:
     )
 
 
+@single_threaded
 def refit(problem: LeastSquares, result: Result, found: ModelErrors, progress: Progress | None = None) -> Refit | None:
     """Identify again with the errors found as parameters; None if that does not converge.
 
