@@ -164,7 +164,7 @@ def normal_scores(t: Floats, freedom: float) -> Floats:
 
 
 def _larger(null: Floats, score: float, beside: float, share: float) -> tuple[float, float]:
-    """Return the more significant of two scores, the second with a share of the level."""
+    """Return the more significant of two scores; the second has a share."""
     own = probability_of(null, abs(score)) / (1.0 - share)
     other = probability_of(null, abs(beside)) / share if beside else 1.0
     return (score, min(own, 1.0)) if own <= other else (beside, min(other, 1.0))
