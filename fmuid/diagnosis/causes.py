@@ -269,9 +269,10 @@ def coordinates_of(
         voltage = float(np.sqrt(np.mean(made.voltages**2)))
         sensors = list(made.given.current_sensors)
         read = experiment.output_values[:, [experiment.output_names.index(name) for name in sensors]]
-        impedance = voltage / max(float(np.sqrt(np.nanmean(read**2))), 1e-300)
+        current = float(np.sqrt(np.mean(read[np.isfinite(read)] ** 2))) if np.isfinite(read).any() else 0.0
+        # without a current, no joint has a usual size
         for kind, lines, scale, unit, given in (
-            (CauseKind.JOINT, LINES, impedance, "Ohm", causes.joint),
+            (CauseKind.JOINT, LINES if current else (), voltage / (current or 1.0), "Ohm", causes.joint),
             (CauseKind.DEAD_TIME, ("",), voltage, "V", causes.dead_time),
         ):
             for name in lines if given is not None else ():
