@@ -81,7 +81,7 @@ def test_all_commands_with_documents_have_the_options() -> None:
         for each in app.registered_commands
         if hasattr(each.callback, "__signature__")
     }
-    analyses = {"simulate", "identify", "diagnose", "monitor", "design", "batch"}
+    analyses = {"baseline", "simulate", "identify", "diagnose", "monitor", "design", "batch"}
     assert shown == analyses | {"predict", "compare", "info", "validate"}
 
 
