@@ -113,9 +113,8 @@ def _kind(key: str, field: FieldInfo, above: str) -> str:
     below = _below(key, field.annotation, above)
     if below is not None:
         return "section"
-    return " or ".join(
-        [each.name for each in field.metadata if isinstance(each, ValueKind)][-1:] or _kinds(field.annotation)
-    )
+    kinds = [each.name for each in field.metadata if isinstance(each, ValueKind)][-1:] or _kinds(field.annotation)
+    return re.sub(",? or ", ", ", ", ".join(kinds)).replace("finite number", "number")
 
 
 def _kinds(type_: Any) -> list[str]:

@@ -36,7 +36,7 @@ def test_the_page_is_generated() -> None:
     page = (ROOT / "docs" / "study-reference.md").read_text(encoding="utf-8")
     assert page == reference()
     for line in (
-        '- `interpolation` ("linear" or "zoh" or "zoh-next" or "pchip" or { input = interpolation }, default ',
+        '- `interpolation` ("linear", "zoh", "zoh-next", "pchip", { input = interpolation }, default ',
         "## `[diagnosis.faults.<name>.parameters.<name>]`",
         "- `from` (text, required): output",
         "Also `[[diagnosis.faults.<name>.components]]`.",
