@@ -9,10 +9,11 @@ import numpy as np
 import pandas as pd
 
 from fmuid.estimation import Grade, Result, Verdict
-from fmuid.formatting import fit_text, unit_text, with_std
+from fmuid.formatting import fit_text, unit_text
 from fmuid.identification import ModelErrors, judge, quantile
 from fmuid.models import SolverConfiguration
 from fmuid.reports.document import Document, Message, Remark, Section, bad, origin_of, plain
+from fmuid.reports.topics.assumption_rows import assumption_rows
 from fmuid.reports.topics.assumptions import (
     assumed_section,
     defect_remarks,
@@ -215,27 +216,6 @@ def information_remarks(result: Result) -> list[Remark]:
     return [RunMessage.INFORMATION.said("forest", **values)]
 
 
-def _assumptions(found: IdentificationRun) -> list[tuple[str, str, str]]:
-    """Return assumptions beside the fixed parameters: what, value and effect."""
-    result, rows = found.result, list[tuple[str, str, str]]()
-    for experiment in result.fit.experiments:
-        where = f" in {experiment.name}" if len(result.fit.experiments) > 1 else ""
-        for name, held in zip(experiment.input_names, experiment.held.tolist(), strict=True):
-            rows.append((f"{name}{where} between samples", "held" if held else "interpolated", ""))
-    delay = result.fit.delay
-    if delay is not None:
-        i = int(np.argmax(delay.widening))
-        effect = f"found {with_std(delay.samples, delay.std)} samples; σ of {result.names[i]} × {delay.widening[i]:.2f}"
-        rows.append(("delay of outputs", "within ±½ sample (`noise.delay_std`)", effect))
-    if result.fit.noise is not None:
-        for model in result.fit.noise.models:
-            order = model.process.coefficients.size
-            rows.append(
-                (f"noise of {model.series.output}", f"autoregression of order {order}" if order else "white", "")
-            )
-    return list(dict.fromkeys(rows))
-
-
 def _bands(found: IdentificationRun) -> dict[str, Band]:
     """Return the bands of experiments without a time."""
     level = found.assessment.level
@@ -257,7 +237,7 @@ def identification_sections(found: IdentificationRun) -> list[Section]:
         estimates_section(result, checks.level),
         forest_section(result, checks.level, information_remarks(result)),
         *([interval_section(checks, result)] if checks.is_explored else []),
-        *assumed_section(checks.model_errors, _assumptions(found)),
+        *assumed_section(checks.model_errors, assumption_rows(found)),
         *hiding_section(checks.model_errors),
         *fit_sections(fits, bands=_bands(found)),
         *contribution_sections(checks.contributions, result.names, fits),
