@@ -43,7 +43,7 @@ def has_open_time_unit(origin: Provenance | None) -> bool:
 
 
 def guessed_keys(text: str) -> set[str]:
-    """Return the keys of a study file with a guessed value, by its comments."""
+    """Return the keys of a study file with a guessed value."""
     lines = (line for line in text.splitlines() if MARK in line)
     return {line.partition("=")[0].strip() for line in lines if "=" in line.partition(MARK)[0]}
 
