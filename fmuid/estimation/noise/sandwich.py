@@ -228,11 +228,11 @@ def _models(
     models: dict[int, Autoregression] = {}
     for members in pools:
         group, samples = series[members[0]].group, sum(series[i].rows.size for i in members)
-        if rows.white[group]:
+        # samples without an order are independent, with the variance of their output
+        if rows.white[group] or not all(series[i].ordered for i in members):
             model = Autoregression(np.zeros(0), 1.0, samples)
         else:
-            ordered = all(series[i].ordered for i in members)
-            orders = most_orders(samples, max(there[i].size for i in members)) if ordered else 0
+            orders = most_orders(samples, max(there[i].size for i in members))
             extra = len(columns[members[0]]) // 2
             weights = np.repeat([1.0, 0.5, -0.5], [1, extra, extra])
             model = fit(*_joined([(columns[i], there[i]) for i in members], orders + 1), weights, orders)

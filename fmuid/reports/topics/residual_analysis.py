@@ -80,7 +80,7 @@ class ResidualMessage(Message, section="residuals"):
         "{names}: unequal sampling intervals, treated as equal.", remedy="Set `resample_interval` if they differ much."
     )
     SLIGHT = plain("Residual of {name}: significant but small {traits}.")
-    UNTESTED = plain("Residual of {names} is too short, or rounding only: not tested.")
+    UNTESTED = plain("Residual of {names} is too short, rounding only or without an order: not tested.")
 
 
 def residual_remarks(found: ResidualAnalysis, units: Mapping[str, str | None] | None = None) -> list[Remark]:
