@@ -60,7 +60,7 @@ def test_the_isolation_that_is_shown(tmp_path: Path) -> None:
 
 
 def test_scripts_are_python() -> None:
-    for page in ("batches.md", "clusters.md", "kubernetes.md", "report.md", "study-file.md", "validation.md"):
+    for page in ("batches.md", "clusters.md", "report.md", "study-file.md", "validation.md"):
         for code in blocks(page, "python"):
             compile(code, page, "exec")
 

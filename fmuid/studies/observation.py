@@ -61,9 +61,7 @@ class ObservationSection(StudySection):
     angle: Annotated[Angle, Settings()] | None = entry(
         None, 'electrical angle, { speed = "w", pole_pairs = 2 } or { column = "theta" }'
     )
-    currents: Lines = entry(
-        ..., 'current of each axis = sensors of lines a, b, c, { ids = ["ia", "ib"], iqs = ["ia", "ib"] }'
-    )
+    currents: Lines = entry(..., "current of each axis = sensors of lines a, b, c")
     voltages: Lines = entry({}, "voltage of each axis = columns of lines a, b, c")
     sensors: Annotated[dict[str, SensorSection], kinds.Entries("{ column = sensor }")] = entry(
         {}, "errors of sensors; others are exact"

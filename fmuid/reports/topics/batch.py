@@ -94,8 +94,7 @@ class BatchMessage(Message):
     )
     COUPLED = doubt(
         "{count} cases depend on the communication step.",
-        "a discrete-time component changes with the step",
-        "Set `discrete_time` of the components to true or false.",
+        remedy="Set `discrete_time` of the components to true or false.",
     )
     UNCHECKABLE = doubt(
         "Solver error unknown in {count} cases: no more accurate solver exists.",

@@ -44,9 +44,7 @@ class ComparisonMessage(Message, section="likelihood"):
         remedy="Compare on a common data file.",
     )
     NO_FIT = plain("Common data: fit undefined for constant outputs.", remedy="Compare the RMSE.")
-    AS_GOOD = plain(
-        "Common data: {names} equally good (fit {most} for {best}; {others}).", "errors differ by less than 5 %"
-    )
+    AS_GOOD = plain("Common data: {names} equally good (fit {most} for {best}; {others}).")
     BEST_FIT = plain("Common data: {best} is best (fit {most}; {others}).")
 
 

@@ -52,7 +52,6 @@ class PredictionMessage(Message, section="prediction"):
     )
     COVERAGE = plain(
         "{record}: {inside} of {samples} samples of {output} are in the {level} band.",
-        "near the level of the band if the model holds",
     )
     UNDETERMINED = plain("{names} not identifiable: the band contains noise only.")
     REFITTED = plain("{record}: estimated again: {values}.")

@@ -49,7 +49,7 @@ class PriorMessage(Message, section="belief"):
     AS_KNOWN = plain(
         "Residual of {outputs} matches its noise level (variance × {ratios}, p = {probability}).",
     )
-    EXTRAPOLATED = plain("Optimum of the data alone is extrapolated: {reason}.", "a linear approximation")
+    EXTRAPOLATED = plain("Optimum of the data alone is extrapolated: {reason}.")
 
 
 def reading_remarks(reading: PriorDataComparison, units: Units | None = None) -> list[Remark]:

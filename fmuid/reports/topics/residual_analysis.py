@@ -68,8 +68,7 @@ class ResidualMessage(Message, section="residuals"):
     )
     LONG_MEMORY = plain(
         "Noise of {name} is slow ({seconds} s) for {record} s of data; σ is uncertain.",
-        "slower than a fifth of the data",
-        "Measure longer; or `detrend` if the sensor drifts.",
+        remedy="Measure longer; or `detrend` if the sensor drifts.",
     )
     PERIODIC = doubt(
         "Residual of {name} repeats every {period} s ({share} % of variance); σ includes it.",

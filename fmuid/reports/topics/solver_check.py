@@ -66,7 +66,6 @@ class SolverMessage(Message, section="accuracy"):
     CHECKED = plain("Solver check: {finer}.")
     REFINED = plain(
         "Solver refined to {after}: {reason}.",
-        "the results are from the new solver",
     )
     REFUSED = plain(
         "{count} other optima exist only with the inaccurate solver.",

@@ -102,7 +102,6 @@ class StartMessage(Message, section="cost"):
     ATTEMPTS = plain("Starting points: {attempts}.")
     REPLACED = plain(
         "{name} has no effect at its initial guess; used {name} = {value} instead.",
-        "a dead zone, for example friction",
     )
     SIGN = doubt(
         "{name} changed sign, from {start} to {value}.", remedy="Add a bound at zero if the model requires one sign."
