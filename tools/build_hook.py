@@ -44,7 +44,9 @@ class CoreHook(BuildHookInterface):  # type: ignore[misc]
         library = build.build(Path(self._folder.name) / build.library_name(ending), target)
         build_data["force_include"][str(library)] = str(NATIVE / library.name)
         for model in DATASET_MODELS:
-            build_data["force_include"][f"fmus/{model}/{model}.fmu"] = f"fmuid/datasets/{model}.fmu"
+            for name in (f"{model}.fmu", f"{model}.nameplate.toml"):
+                if Path(self.root, "fmus", model, name).is_file():
+                    build_data["force_include"][f"fmus/{model}/{name}"] = f"fmuid/datasets/{name}"
         build_data["pure_python"] = False
         platform = tag or sysconfig.get_platform().replace("-", "_").replace(".", "_")
         build_data["tag"] = f"py3-none-{platform}"
