@@ -117,7 +117,8 @@ def _of_solver(result: Result) -> Iterator[Doubt]:
     if check is None:
         return
     if check.outcome in _UNCHECKED:
-        yield Doubt(Reason.SOLVER_UNCHECKED, (check.outcome.value,))
+        bound = {"bound": check.largest} if math.isfinite(check.largest) else {}
+        yield Doubt(Reason.SOLVER_UNCHECKED, (check.outcome.value,), bound)
     elif check.doubtful:
         i = int(np.argmax(np.abs(np.nan_to_num(check.shift))))
         yield Doubt(Reason.SOLVER_ERROR, (result.names[i],), {"shift": float(abs(check.shift[i]))})

@@ -48,6 +48,7 @@ class SolverCheckSettings:
     start_tolerance: float = 1e-6  # of Model Exchange at the starting point, relative
     start_divisions: int = 2  # of the step after a failed start; further failures have other reasons
     sure_shift: float = SHIFT_LIMIT / 3.0  # σ; smaller shifts stay small within a cell of the cache
+    richardson: float = 2.0  # error of a step over its change by half the step, at order 1
     optima: int = 10  # of a box, from which a refined search goes on
 
 
@@ -194,12 +195,26 @@ class _SolverChecking:
             return replace(found, finer=self._how_run(other))
 
         found = compared(finer)
+        if found.outcome is AccuracyOutcome.FAILED and finer.tolerance is None:
+            return self._suggested(fit, found, predicted)
         sure = next_refinement(problem.system, problem.refinement, surely=True)
         if not found.doubtful or sure == finer:
             return found
         if sure is not None and (inside := compared(sure)).doubtful:
             return inside
         return replace(found, outcome=AccuracyOutcome.COUPLED)
+
+    def _suggested(self, fit: Result, failed: SolverCheck, predicted: Floats) -> SolverCheck:
+        """Return a failed check with the shift by half the communication step.
+
+        By Richardson, the error of a step h is 2^p / (2^p − 1) times its change by h / 2: twice at order p = 1.
+        """
+        half = Refinement(None, 2 * self.problem.refinement.divisor)
+        error = SETTINGS.richardson * (self.evaluator.predict_by(half, fit.values) - predicted)
+        if not np.isfinite(error).all():
+            return failed
+        bound = estimate_solver_error(self.problem, fit, error)
+        return replace(failed, shift=bound.shift, change=bound.change, finer=self._how_run(half))
 
     def _go_on(self) -> Steps[RefinementRefusal | None]:
         """Search on by the next refined solver; return any refusal."""

@@ -11,8 +11,9 @@ from scipy.signal import lfilter
 
 import fmuid
 from fmuid.array_types import Floats
-from fmuid.estimation import SHIFT_LIMIT, AccuracyOutcome, RefinementRefusal, SwitchCause
-from fmuid.identification import refinement_of
+from fmuid.estimation import SHIFT_LIMIT, AccuracyOutcome, Doubt, Reason, RefinementRefusal, SwitchCause
+from fmuid.identification import judge, refinement_of
+from fmuid.reports.topics.solver_check import unchecked_words
 from fmuid.simulation import Refinement, closing
 from tests.support.paths import FMUS, ROOT
 from tests.support.stepping import LAG, MOTOR, stepping_fmu
@@ -171,6 +172,22 @@ def test_an_alias_is_no_optimum() -> None:
     assert [round(optimum.theta[1], 4) for optimum in result.history.optima] == [0.1007]
     assert result["L"] == pytest.approx(0.1, abs=4.0 * result.std[1])
     assert (checked(result).refused, checked(result).switches) == (1, ())
+
+
+def test_half_the_step_suggests_a_bound(folder: Path) -> None:
+    """A quarter of the step fails: Richardson's bound from half of it is about the true error of Euler's steps."""
+    table = lag_table(noise=1e-5)
+    failed = fmuid.identify(solved(folder, table, least=0.6 * STEP))
+    assert checked(failed).outcome is AccuracyOutcome.FAILED
+    assert np.isnan(checked(failed).shift).all()
+    result = fmuid.identify(solved(folder, table, least=0.4 * STEP))
+    found = checked(result)
+    assert found.outcome is AccuracyOutcome.FAILED
+    assert abs(found.shift[0]) == pytest.approx(off(result), rel=0.3)
+    doubt = next(each for each in judge(result).doubts if each.reason is Reason.SOLVER_UNCHECKED)
+    assert doubt.values["bound"] == found.largest
+    assert unchecked_words(doubt).startswith("half the communication step suggests ")
+    assert unchecked_words(Doubt(doubt.reason, ("failed",))) == "shorter communication steps fail"
 
 
 def test_a_start_that_shorter_steps_alone_can_simulate(folder: Path) -> None:

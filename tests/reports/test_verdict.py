@@ -2,7 +2,7 @@
 
 import pytest
 
-from fmuid.estimation import Doubt, Reason, Verdict
+from fmuid.estimation import AccuracyOutcome, Doubt, Reason, Verdict
 from fmuid.identification import DefectKind, ErrorKind
 from fmuid.reports.topics.verdict import VerdictMessage, reason_words, remedy_words, verdict_state
 
@@ -28,7 +28,16 @@ def test_each_defect_of_data_is_said(kind: DefectKind) -> None:
     assert words and "{" not in words
 
 
-NAMED = (Reason.MODEL_ERROR, Reason.DATA_DEFECT)  # by their kinds
+@pytest.mark.parametrize("outcome", [each for each in AccuracyOutcome if each.name not in ("PASSED", "SHIFTED")])
+@pytest.mark.parametrize("values", [{}, {"bound": 13.0}])
+def test_each_unknown_solver_error_is_said(outcome: AccuracyOutcome, values: dict[str, float]) -> None:
+    words = reason_words(Verdict((Doubt(Reason.SOLVER_UNCHECKED, (outcome.value,), values),)))
+    assert words.startswith("solver error unknown: ") and "{" not in words
+    if values and outcome in (AccuracyOutcome.FAILED, AccuracyOutcome.COUPLED):
+        assert "13 σ" in words
+
+
+NAMED = (Reason.MODEL_ERROR, Reason.DATA_DEFECT, Reason.SOLVER_UNCHECKED)  # by their kinds
 
 
 @pytest.mark.parametrize("reason", [each for each in Reason if each not in NAMED])

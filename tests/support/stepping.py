@@ -22,14 +22,15 @@ def stepping_fmu(
     told: bool = True,
     memory: float = 0.0,
     seed: str = "0",
+    least: float = 0.0,
 ) -> Path:
     """Return an FMU of a model: explicit Euler (order 1) or Runge–Kutta (4) inside, in `internal` steps, s, of its own.
 
     `exchange`: it offers Model Exchange; `told`: its description names the states. `memory` is added to the input after
-    each simulation in the process, `seed` times in the first.
+    each simulation in the process, `seed` times in the first. Communication steps shorter than `least`, s, fail.
     """
     name, states, parameters = model
-    path = folder / f"{name}{order}-{internal:g}-{exchange}-{told}-{memory:g}-{len(seed)}.fmu"
+    path = folder / f"{name}{order}-{internal:g}-{exchange}-{told}-{memory:g}-{len(seed)}-{least:g}.fmu"
     lines = [real(x, X + i, "output", said='initial="exact"|start="0"') for i, x in enumerate(states)]
     known = [f'derivative="{i + 1}"' if told else "" for i in range(len(states))]
     lines += [real(f"der({x})", DX + i, said=known[i]) for i, x in enumerate(states)]
@@ -44,6 +45,6 @@ def stepping_fmu(
         f"{''.join(interfaces)}<ModelVariables>{''.join(lines)}</ModelVariables><ModelStructure><Outputs>"
         f"{''.join(unknowns[: len(states)])}</Outputs>{derivatives}</ModelStructure></fmiModelDescription>"
     )
-    defines = [f"-DMODEL={name.upper()}", f"-DORDER={order}", f"-DINTERNAL={internal!r}"]
+    defines = [f"-DMODEL={name.upper()}", f"-DORDER={order}", f"-DINTERNAL={internal!r}", f"-DLEAST={least!r}"]
     defines += [f"-DMEMORY={memory!r}", f"-DSEED={seed}"] * (memory != 0.0)
     return write_fmu(path, text, HERE / "probe" / "stepping.c", *defines)

@@ -11,6 +11,7 @@ import pandas as pd
 from fmuid.estimation import (
     SHIFT_LIMIT,
     AccuracyOutcome,
+    Doubt,
     RefinementStep,
     RunFields,
     SensitivityMethod,
@@ -100,11 +101,37 @@ class SolverMessage(Message, section="accuracy"):
         "Set `discrete_time` to true or false for each component.",
     )
     FAILED = doubt("Solver error is unknown: {finer} fails at the estimates.")
+    SUGGESTED = doubt(
+        "Solver error is unknown; half the communication step suggests {shifts}.",
+        "twice its shift, by Richardson at order 1; shorter steps fail",
+        "Export the FMU for Model Exchange.",
+    )
     INTERRUPTED = doubt("Solver error was not checked: interrupted.")
     RUN = plain(
         "{model}: {run}.",
     )
     SENSITIVITIES = plain("Jacobian: {how}.")
+
+
+class UncheckedMessage(Message, section="accuracy"):
+    """Reasons of an unknown solver error, by `AccuracyOutcome`."""
+
+    UNKNOWN = ("an estimate has no σ",)
+    UNCHECKABLE = ("shorter communication steps change nothing", "the FMU ignores them: halving gives no bound")
+    COUPLED = ("shorter communication steps suggest {bound}", "or a sampled controller acts more often")
+    FAILED = ("shorter communication steps fail", "halving gives no bound")
+    SUGGESTED = ("half the communication step suggests {bound}", "twice its shift, by Richardson at order 1")
+    INTERRUPTED = ("its check was interrupted",)
+
+
+def unchecked_words(found: Doubt) -> str:
+    """Return the reason of an unknown solver error, or its bound."""
+    outcome, bound = AccuracyOutcome(found.subject[0]), found.values.get("bound")
+    message = UncheckedMessage[outcome.name]
+    if bound is None:
+        return message.text.format(bound="an unknown error")
+    message = UncheckedMessage.SUGGESTED if outcome is AccuracyOutcome.FAILED else message
+    return message.text.format(bound=f"{max(bound, LEAST_SHOWN):.2g} σ")
 
 
 def run_words(run: SolverConfiguration) -> str:
@@ -179,6 +206,8 @@ def _outcome(names: Sequence[str], found: SolverCheck, finer: str) -> list[Remar
             tone: Tone = "doubt" if found.doubtful else "plain"
             messages = [SolverMessage.SHIFTED, *([SolverMessage[found.kept.name]] if found.kept else [])]
             return [each.said(None, tone, **values) for each in messages]
+        case AccuracyOutcome.FAILED if math.isfinite(found.change):
+            return [SolverMessage.SUGGESTED.said(**values)]
         case AccuracyOutcome.UNCHECKABLE if finer:
             return [SolverMessage.FIXED_STEP.said()]
     return [SolverMessage[found.outcome.name].said(**values)]

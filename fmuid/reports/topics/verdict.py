@@ -9,6 +9,7 @@ from fmuid.estimation import Doubt, Grade, Reason, Verdict
 from fmuid.formatting import listed
 from fmuid.reports.document import Message, Tone
 from fmuid.reports.topics.assumptions import defect_words, error_remedy, error_words
+from fmuid.reports.topics.solver_check import unchecked_words
 
 SHOWN_REASONS = 2
 """Reasons in the first line; the others are counted."""
@@ -37,7 +38,11 @@ class VerdictMessage(Message):
         "the model does not explain the data from any starting point",
         "Check the model, input interpolation and units.",
     )
-    SOLVER_UNCHECKED = ("solver error unknown", "no more accurate simulation", "Export the FMU for Model Exchange.")
+    SOLVER_UNCHECKED = (
+        "solver error unknown: {cause}",
+        "no more accurate simulation",
+        "Export the FMU for Model Exchange.",
+    )
     SOLVER_ERROR = (
         "solver error moves {first} by {shift:.2g} σ",
         "σ includes it",
@@ -124,6 +129,7 @@ def _phrases(found: Sequence[Doubt]) -> Iterator[str]:
         words = {
             "first": next(iter(first.subject), ""),
             "subjects": _joined(_subjects(reason, doubts)),
+            "cause": unchecked_words(first) if reason is Reason.SOLVER_UNCHECKED else "",
             "inputs": _joined(_inputs(doubts)),
             "defect": listed([defect_words(each) for each in doubts]) if reason is Reason.DATA_DEFECT else "",
             "error": listed([error_words(each) for each in doubts]) if reason is Reason.MODEL_ERROR else "",
