@@ -41,7 +41,7 @@ class Response:
     """delay of the measured response, s"""
 
     def __post_init__(self) -> None:
-        parts = [part.strip() for part in self.of.split(" / ")]
+        parts = [part.strip() for part in self.of.split("/")]
         if not 1 <= len(parts) <= 2 or not all(parts):
             raise InputError(f'of = {self.of!r} is no ratio. Write it as "u / i".')
         if not self.columns:
@@ -53,7 +53,7 @@ class Response:
     @property
     def signals(self) -> tuple[str, str]:
         """Numerator and denominator, "" for none."""
-        above, _, below = self.of.partition(" / ")
+        above, _, below = self.of.partition("/")
         return above.strip(), below.strip()
 
     @property

@@ -260,13 +260,13 @@ class LeastSquares:
             at = np.argsort(order, kind="stable")
             for name, values, counted in zip(experiment.output_names, tables.T, experiment.counted.T, strict=True):
                 j, own = self.output_names.index(name), np.where(counted, values, np.nan)
-                ordered[j] = True
                 size = int(counted.sum())
                 if experiment.kind == "time":
                     found = second_difference_noise(order, own)
                 else:
                     weight = scale[:, experiment.output_names.index(name)]
                     found = smoothness_noise(order[at], (own * weight)[at], weight[at])
+                ordered[j] |= experiment.kind == "time" or math.isfinite(found)
                 if math.isfinite(found):
                     squares[j] += size * found**2
                     counts[j] += size

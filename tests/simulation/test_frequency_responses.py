@@ -97,7 +97,7 @@ PARTS = {
     "response",
     [
         Response("u / i", real="re", imaginary="im"),
-        Response("u / i", imaginary="im"),
+        Response("u/i", imaginary="im"),
         Response("u / i", magnitude="mag", phase="deg"),
         Response("u / i", decibel="dB", phase="turns"),
         Response("u / i", phase="late", delay=1e-3),
@@ -169,6 +169,11 @@ def test_wrong_responses_are_refused(response: Response, more: dict[str, Any], m
 def test_a_response_has_one_form(keys: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         Response(**keys)
+
+
+def test_a_few_frequencies_show_no_noise_level() -> None:
+    given = FrequencyExperiment(pd.DataFrame(PARTS), frequency="f", responses={"Z": Response("u/i", magnitude="mag")})
+    assert np.isnan(fmuid.Problem(COIL, given, {"R": fmuid.Parameter(3.0)}).shown_noise).all()
 
 
 def test_noise_is_a_fraction_of_the_magnitude_of_both_parts() -> None:
