@@ -11,6 +11,7 @@ from .cost_map import map_cost as map_cost
 from .cost_map import region_rise as region_rise
 from .data_defects import DataDefect as DataDefect
 from .data_defects import DefectKind as DefectKind
+from .data_defects import find_data_defects as find_data_defects
 from .data_defects import without_clipped as without_clipped
 from .directed_tests import find_model_errors as find_model_errors
 from .identify import identify as identify

@@ -2,6 +2,7 @@ from .apply import AppliedValue as AppliedValue
 from .apply import apply_result as apply_result
 from .batch.batch import Batch as Batch
 from .batch.batch import BatchResult as BatchResult
+from .batch.case import tests_cases as tests_cases
 from .batch.case_list import CaseList as CaseList
 from .batch.dataset import parts_in as parts_in
 from .batch.dataset import read_part as read_part

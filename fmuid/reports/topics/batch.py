@@ -23,6 +23,7 @@ from fmuid.runs import (
     estimates,
     is_repetition,
     made_from,
+    tests_cases,
 )
 from fmuid.studies import Study
 
@@ -77,8 +78,13 @@ class BatchMessage(Message):
     OTHER_OPTIMA = plain("{others} of {total} converged cases found another optimum than the best.")
     EQUAL_OPTIMA = doubt("Several optima fit equally well.", remedy="Narrow the bounds or add priors.")
     DOUBTFUL = doubt(
-        "{count} of {total} cases are DOUBTFUL: {reason}.",
+        "{count} of {total} cases ({share}) are DOUBTFUL: {reason}.",
         remedy="Identify such a case by itself.",
+    )
+    NOT_TESTED = plain(
+        "Residuals and model errors were not tested in the cases.",
+        "a verdict of a case is that of its optimization and solver",
+        'Set `estimation.model_error = "report"` to test model errors, too.',
     )
     CHECKED = plain(
         "Solver error checked in {total} cases, in {checked} by new simulations.",
@@ -116,7 +122,8 @@ def batch_document(found: BatchResult, summary: Summary, frame: pd.DataFrame, st
     tone, state = state_of(summary)
     sections = (*tables_of(summary), *drawn)
     origin = origin_of(made_from(study), {"cases": state})
-    return Document("batch", "Batch", state, tone, tuple(summary_remarks(summary)), sections, **origin)
+    said = summary_remarks(summary) + ([] if tests_cases(study) else [BatchMessage.NOT_TESTED.said()])
+    return Document("batch", "Batch", state, tone, tuple(said), sections, **origin)
 
 
 def state_of(summary: Summary) -> tuple[Tone, str]:
@@ -173,7 +180,8 @@ def _doubts(summary: Summary) -> Iterator[Remark]:
     total = int(summary.statuses["cases"].iloc[0])
     for reason, count in summary.reasons.items():
         words = reason.replace("_", " ")
-        yield BatchMessage.DOUBTFUL.said("cases", count=count, total=total, reason=words)
+        share = f"{100 * count / total:.3g} %"
+        yield BatchMessage.DOUBTFUL.said("cases", count=count, total=total, share=share, reason=words)
 
 
 def _counts(summary: Summary) -> Iterator[Remark]:

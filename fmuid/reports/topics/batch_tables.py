@@ -79,6 +79,8 @@ def tables_of(summary: Summary) -> list[Section]:
         found.append(_groups(summary, names))
     if len(summary.optima) > 1:
         found.append(_optima(summary, names))
+    if summary.reasons:
+        found.append(_reasons(summary))
     return [*found, _failures(summary.failures)] if len(summary.failures) else found
 
 
@@ -141,6 +143,13 @@ def _optima(summary: Summary, names: Sequence[str]) -> Section:
     }
     columns |= {name: [_short(row[name], 5) for row in rows] for name in names if name in summary.optima}
     return Section("optima", "Optima (medians)", table=table_of(columns))
+
+
+def _reasons(summary: Summary) -> Section:
+    """Return the share of each reason in the converged cases."""
+    total = int(summary.statuses["cases"].iloc[0])
+    cells = [(reason.replace("_", " "), str(n), f"{100 * n / total:.3g} %") for reason, n in summary.reasons.items()]
+    return Section("reasons", "Reasons of verdicts", table=table_of_rows(("reason", "cases", "share"), cells))
 
 
 def _failures(failures: pd.DataFrame) -> Section:

@@ -24,9 +24,10 @@ from fmuid.codec import as_json, from_json
 from fmuid.data import Experiment
 from fmuid.errors import FmuidError
 from fmuid.estimation import Cache, Evaluator, Result, TerminationReason, WeakDirection
-from fmuid.identification import Problem, identify, judge
+from fmuid.identification import Assessment, Problem, find_data_defects, find_model_errors, identify, judge
 from fmuid.runs.batch.case_list import Case, CaseList, noise
 from fmuid.runs.batch.case_problem import problem_of, truth_simulators, truth_values
+from fmuid.runs.findings import at_minimum
 from fmuid.simulation import executor_of, nrmse_fit, root_mean_square
 from fmuid.studies import MonteCarloSection, Study, Value
 
@@ -37,6 +38,12 @@ SYSTEMS_KEPT = 4
 # Errors that fail a case, beside those of this package.
 CASE_ERRORS = MemoryError, ArithmeticError, np.linalg.LinAlgError
 WHOLE, NUMBER, TEXT, FLAG, TIMESTAMP = "int64", "float64", "string", "bool", "datetime64[us, UTC]"
+
+
+def tests_cases(study: Study) -> bool:
+    """Return True if a study asks for directed tests of each case."""
+    given = study.data.get("estimation")
+    return isinstance(given, dict) and given.get("model_error", "off") != "off"
 
 
 @dataclass(frozen=True)
@@ -120,10 +127,18 @@ class CaseRunner:
             raise KeyboardInterrupt
         own = result.accuracy is not None and result.accuracy.simulations > 0
         scores = _scores(evaluator.problem, result)
-        verdict = judge(result, fits={(name,): scores[f"fit.{name}"] for name in self._outputs})
+        fits: dict[tuple[str, ...], float] = {(name,): scores[f"fit.{name}"] for name in self._outputs}
+        verdict = judge(result, self._tested(evaluator.problem, result), fits)
         reasons = " ".join(each.value for each in verdict.reasons)
         judged = {"verdict": verdict.grade.value, "reasons": reasons, "checked": int(own)}
         return _words_of(result) | scores | judged
+
+    def _tested(self, problem: Problem, result: Result) -> Assessment | None:
+        """Return the directed tests of a case, if asked for."""
+        if not tests_cases(self.study) or not at_minimum(result):
+            return None
+        errors = find_model_errors(problem.as_in(result), result)
+        return Assessment(model_errors=errors, data_defects=find_data_defects(problem, result))
 
     def _read(self, table: Path | None) -> tuple[Experiment, ...]:
         """Read tables; simulated outputs need not be in them."""

@@ -161,7 +161,7 @@ def test_no_room_for_figures(folder: Path, monkeypatch: pytest.MonkeyPatch, caps
     remedy = "make room, or choose another folder with --output"
     assert error == f"error: {figure} cannot be written: No space left on device; {remedy}\n"
     assert f"Written to {folder}/results/: result.json, estimates.csv, trace.csv" in out
-    assert f"Written to {folder}/results/figures/: hiding.png, fit.png" in out
+    assert f"Written to {folder}/results/figures/: forest.png, hiding.png, fit.png" in out
     assert {path.name for path in figure.parent.iterdir()} == {"hiding.png", "fit.png"}
 
 

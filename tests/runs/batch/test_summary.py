@@ -176,7 +176,7 @@ def test_summary_counts_the_reasons_of_verdicts() -> None:
     frame.loc[7, "reasons"] = "not_converged"
     found = summarize(frame)
     assert found.reasons == {"at_bound": 2, "poor_fit": 1}
-    assert "2 of 19 cases are DOUBTFUL: at bound." in summary_words(found)
+    assert "2 of 19 cases (10.5 %) are DOUBTFUL: at bound." in summary_words(found)
 
 
 # --- groups
