@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -11,7 +11,7 @@ import pandas as pd
 from annotated_types import Gt
 
 from fmuid.array_types import Floats
-from fmuid.data.data_file import UNITS
+from fmuid.data.data_file import SOURCE, UNITS, numeric_column
 from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError
 
@@ -76,12 +76,12 @@ class SteadyExperiment(Experiment):
     guess: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        check_rows(self)
         given = {} if self.supply is None else self.supply.given
         columns = {f"{name} = {value:g}": value for name, value in given.items() if not isinstance(value, str)}
         inputs = dict(self.inputs if isinstance(self.inputs, Mapping) else zip(self.inputs, self.inputs, strict=True))
         inputs |= {name: value if isinstance(value, str) else f"{name} = {value:g}" for name, value in given.items()}
         self._set(frame=with_rows(self.frame.assign(**columns)), inputs=inputs, time=ROW, interpolation="zoh")
+        check_rows(self, inputs.values())
         super().__post_init__()
 
     @property
@@ -103,10 +103,16 @@ class SteadyExperiment(Experiment):
         return describe_rows(self)
 
 
-def check_rows(experiment: Experiment) -> None:
-    """Refuse settings that have no meaning without a time."""
+def check_rows(experiment: Experiment, columns: Iterable[str]) -> None:
+    """Refuse settings that need a time, and rows without an input."""
+    source = experiment.source or str(experiment.frame.attrs.get(SOURCE, "the table"))
     if experiment.warmup:
-        raise InputError(f"{experiment.source or experiment.name}: warmup needs a time. Remove it.")
+        raise InputError(f"{source}: warmup needs a time. Remove it.")
+    for column in columns:
+        if column in experiment.frame:
+            missing = np.flatnonzero(np.isnan(numeric_column(experiment.frame, column, source)))
+            if missing.size:
+                raise InputError(f"{source}: input column {column!r} is empty in row {missing[0] + 1}. Remove the row.")
 
 
 def with_rows(frame: pd.DataFrame) -> pd.DataFrame:

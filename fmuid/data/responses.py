@@ -91,9 +91,9 @@ class FrequencyExperiment(Experiment):
     point: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        check_rows(self)
         self._set(frame=with_rows(self.frame), inputs={"frequency": self.frequency}, time=ROW, interpolation="zoh")
         self._set(outputs=response_columns(self.responses))
+        check_rows(self, [self.frequency])
         super().__post_init__()
 
     @property

@@ -125,6 +125,14 @@ def test_wrong_keys_are_refused_in_one_sentence(folder: Path, old: str, new: str
         study_of(folder, STEADY.replace(old, new)).problem()
 
 
+def test_a_row_without_an_input_is_refused(folder: Path) -> None:
+    table = three_tests()
+    table.loc[2, "s"] = np.nan
+    table.to_csv(folder / "tests.csv", index=False)
+    with pytest.raises(InputError, match=r"tests.csv: input column 's' is empty in row 3. Remove the row"):
+        study_of(folder).problem()
+
+
 def test_a_table_without_times_names_the_kind(folder: Path) -> None:
     three_tests().drop(columns="T").to_csv(folder / "tests.csv", index=False)  # which might be a time
     text = STEADY.replace('kind = "steady"', "").replace("frame = {", "# ")

@@ -114,7 +114,8 @@ def _experiment(given: Experiment) -> str:
         "role": ["input"] * len(given.input_names) + ["output"] * len(given.output_names),
         "unit": [unit_text(given.units.get(name)) for name in names],
     }
-    said = f"{len(times)} samples, {times[0]:g} to {times[-1]:g} s"
+    span = f"{len(times)} samples, {times[0]:g} to {times[-1]:g} s"
+    said = span if given.kind == "time" else f"{len(times)} rows without a time"
     return _titled(given.name, said, table_of(columns, columns))
 
 

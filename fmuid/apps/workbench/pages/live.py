@@ -178,7 +178,7 @@ class LiveFit:
             residual = measured - shown
             some = extremes(np.hstack([shown, residual]), ROWS)
         thin, grey = self.record.times[rows][some], uncounted(self.record)
-        across = Axis("time (s)", linked="time", ticks=8)
+        across = Axis("time (s)" if self.record.kind == "time" else "row", linked="time", ticks=8)
         size, charts = 3 if len(self.record.times) > DOTS else 5, []
         hover = (("time", "@x{0.0000} s"), ("simulated", "@y{0.00000}"), ("residual", "@r{0.00000}"))
         for j in self.outputs:
