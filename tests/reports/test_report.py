@@ -77,7 +77,7 @@ def page(results: Path) -> Page:
 
 def test_verdict_comes_first_with_links_and_table(results: Path, page: Page) -> None:
     words, found = page.words, result(results)["parameters"]["R"]
-    assert words.index("Converged") < words.index("95 % interval") < words.index("Measured and simulated: first")
+    assert words.index("converged") < words.index("95 % interval") < words.index("Measured and simulated: first")
     for text in ("Two coils", "4.00 ± 0.20", "solver error", "Ohm", f"± {found['std']:.2g}", "5.5"):
         assert text in words, text
     anchors, links = page.values("id"), [link for link in page.values("href") if link.startswith("#")]

@@ -19,7 +19,7 @@ from typing import Any
 from fmuid.errors import InputError
 from fmuid.formatting import visible
 from fmuid.reports.chart import LIMITS, Figure
-from fmuid.reports.document import Document, Remark, Section, Table, capitalized
+from fmuid.reports.document import Document, Remark, Section, Table
 
 DIGEST = "SHA-256 "
 
@@ -90,7 +90,7 @@ def verdict(document: Document) -> str:
     )
     badge = f'<span class="badge {document.tone}">{text(document.state)}</span>'
     heading = f"<h2>{text(document.heading)} {badge}</h2>"
-    reason = f"<p class=reason>{text(capitalized(document.reason))}</p>" if document.reason else ""
+    reason = f"<p class=reason>{text(document.reason)}</p>" if document.reason else ""
     reason += f"<p class=remedy>→ {_marked(document.remedy)}</p>" if document.remedy else ""
     unsure = f"<h3>Doubts</h3><ul class=doubts>{doubts}</ul>" if doubts else ""
     tables = ""

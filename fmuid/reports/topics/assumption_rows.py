@@ -89,7 +89,7 @@ def _delay(result: Result) -> Iterator[Row]:
     if delay is not None:
         i = int(np.argmax(delay.widening))
         effect = f"found {with_std(delay.samples, delay.std)} samples; σ of {result.names[i]} × {delay.widening[i]:.2f}"
-        yield "delay of outputs", "within ±½ sample (`noise.delay_std`)", effect
+        yield "delay of outputs", "within ±½ sample (noise.delay_std)", effect
 
 
 def _noise(result: Result) -> Iterator[Row]:
