@@ -162,7 +162,7 @@ def test_no_room_for_figures(folder: Path, monkeypatch: pytest.MonkeyPatch, caps
     assert error == f"error: {figure} cannot be written: No space left on device; {remedy}\n"
     assert f"Written to {folder}/results/: result.json, estimates.csv, trace.csv" in out
     assert f"Written to {folder}/results/figures/: forest.png, hiding.png, fit.png" in out
-    assert {path.name for path in figure.parent.iterdir()} == {"hiding.png", "fit.png"}
+    assert {path.name for path in figure.parent.iterdir()} == {"forest.png", "hiding.png", "fit.png"}
 
 
 @pytest.mark.slow
