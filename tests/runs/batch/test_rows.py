@@ -32,6 +32,7 @@ def monte_carlo(case_folder: Path, draws: int, **more: Any) -> CaseRunner:
         study_of(
             case_folder,
             {"monte_carlo": {"realizations": draws, "std": {"i": STD}, "true_values": {"R": R, "L": L}}, **more},
+            noise={"delay_std": 0.0},
         )
     )
 
