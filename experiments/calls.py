@@ -51,6 +51,7 @@ class Shared:
 
     def __init__(self, machine: Linearised, coordinates: ChangeParameterSet, noise: float) -> None:
         self.experiment, self._machine, self._noise = machine.experiment, machine, noise
+        self.coordinates = coordinates
         self._anchors: list[tuple[Floats, Floats, Floats, Floats]] = []
         self._magnitude = coordinates.magnitude
 
@@ -165,7 +166,7 @@ class Campaign:
         faults = [kinds[name] is CauseKind.FAULT for each in naming.named for name in each.names]
         return {
             "alarm": int(naming.alarm),
-            "else": int(found.evidence.remainder.probability < UNEXPLAINED_RESIDUAL.level_share * LEVEL),
+            "else": int(found.evidence.remainder.probability < UNEXPLAINED_RESIDUAL.structure_share * LEVEL),
             "remainder": found.evidence.remainder.probability,
             "named": " or ".join(" + ".join(each.names) for each in naming.named),
             "fault": int(bool(faults) and all(faults)),

@@ -16,7 +16,7 @@ class OperatingPointSettings:
     """Margins of a range that counts as seen."""
 
     of_range: float = 0.25  # share of the range ...
-    of_size: float = 0.1  # ... or of the largest value, if larger
+    of_size: float = 0.2  # ... or of the largest value, if larger
 
 
 SETTINGS = OperatingPointSettings()

@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 
 import fmuid
 from experiments.coil import study as coil
+from fmuid.diagnosis import compute_stored_baseline
 
 STEP, R, L, STD = 1e-3, 4.0, 0.1, 0.0224  # s, Ω, H; A: a thirtieth of the current's power
 WINDOW, WINDOWS = 0.25, 40
@@ -98,3 +99,74 @@ def test_an_alarm_begins_and_ends_with_the_fault(kind: str, draws: int, least: i
         ended += abs(alarm.ended.time - STEP * last) < 2 * WINDOW and late < 2 * WINDOW
     print(f"{kind}: onset {begun}, end {ended}, named {named} of {draws}")
     assert min(begun, ended, named) >= least
+
+
+# --- diagnosis, every record at an operating point and temperature of its own
+
+
+ALWAYS = {"saturation": 0.15, "gain": 0.02, "dead": 0.03}
+CHANGES = {
+    "healthy": {},
+    "turns 1 Ohm": {"turns": 1.0},
+    "gain -20 %": {"gain": -0.2},
+    "offset": {"offset": 0.01},
+    "delay 1 ms": {"delay": 1e-3},
+}
+
+
+def operated(rng: np.random.Generator, **off: float) -> fmuid.Experiment:
+    """Return a record of 1.2 s of a coil with saturation and an inverter drop, by Runge-Kutta steps of 0.25 ms."""
+    amplitude, bit, count = rng.uniform(0.7, 1.3), int(rng.integers(12, 20)), 1200
+    resistance, turns = R * rng.uniform(0.95, 1.1), off.get("turns", 0.0)
+    voltage = amplitude * (np.repeat(rng.choice([-1.0, 1.0], count // bit + 1), bit)[:count] + rng.uniform(-0.3, 0.3))
+    current, step, x = np.zeros(count), STEP / 4, 0.0
+
+    def rate(i: float, u: float) -> float:
+        own = (L + 2.0 * L / R * turns) * (1.0 - off.get("saturation", 0.0) * min(i * i / 0.16, 1.5))
+        return (u - off.get("dead", 0.0) * math.tanh(i / 0.02) - (resistance + turns) * i) / own
+
+    for k, u in enumerate(voltage[:-1].tolist()):
+        for _ in range(4):
+            a = rate(x, u)
+            b = rate(x + step * a / 2, u)
+            c = rate(x + step * b / 2, u)
+            x += step * (a + 2 * b + 2 * c + rate(x + step * c, u)) / 6
+        current[k + 1] = x
+    seen = (1.0 + off.get("gain", 0.0)) * (current - off.get("delay", 0.0) * np.gradient(current, STEP))
+    seen = seen + off.get("offset", 0.0) + 0.01 * rng.standard_normal(count)
+    frame = pd.DataFrame({"time": STEP * np.arange(count), "u": voltage, "i": seen})
+    return fmuid.Experiment(frame, ["u"], ["i"], interpolation="zoh", name=str(rng.integers(1 << 40)))
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("always", [{}, ALWAYS], ids=["nothing off", "imperfect"])
+@pytest.mark.parametrize("count", [10, 20])
+def test_diagnosis_at_operating_points(count: int, always: dict[str, float]) -> None:
+    """Four sets of healthy records, 200 new records a change."""
+    coil_model, draws = coil.models()[0], 200
+    turns = fmuid.Fault(coil.models()[1], {"dR": fmuid.Parameter(0.0, nominal=1.0)}, values={"tau": L / R})
+    faults, sets = {"turns": turns}, []
+    for number in range(4):
+        rng = np.random.default_rng([43, number])
+        records = [operated(rng, **always) for _ in range(count)]
+        parameters = {"R": fmuid.Parameter(3.0, min=0.0), "L": fmuid.Parameter(0.2, min=1e-4)}
+        result = fmuid.identify(fmuid.Problem(coil_model, records[0], parameters))
+        given = fmuid.Baseline(result, {"R": 10.0}, records=records)
+        shown = compute_stored_baseline(given, faults, fmuid.System.of(coil_model), fmuid.diagnosis.Causes())
+        sets.append(fmuid.Baseline(result, {"R": 10.0}, shown=shown))
+    first, alone, changed = (dict.fromkeys(CHANGES, 0) for _ in range(3))
+    for name, change in CHANGES.items():
+        for draw in range(draws):
+            rng = np.random.default_rng([44, draw, list(CHANGES).index(name)])
+            off = {key: always.get(key, 0.0) + change.get(key, 0.0) for key in {*always, *change}}
+            found = fmuid.diagnose(operated(rng, **off), sets[draw % 4], faults, coil_model)
+            changed[name] += found.kind != "healthy"
+            alone[name] += found.kind == "fault"
+            wanted = {"turns": "turns.dR", "gain": "gain(i)", "offset": "offset(i)", "delay": "delay(i)"}
+            label = wanted.get(next(iter(change), ""), "")
+            best = found.evidence.explanations[:1]
+            first[name] += found.kind != "unexplained" and [c.label for one in best for c in one.changes] == [label]
+    print(f"{count} records, {always}: changed {changed}, named first {first}, a fault alone {alone}")
+    assert changed["healthy"] <= (8 if always else 6)
+    assert max(alone["gain -20 %"], alone["offset"], alone["delay 1 ms"]) <= 2
+    assert min(first["turns 1 Ohm"], first["offset"], first["delay 1 ms"]) >= 190

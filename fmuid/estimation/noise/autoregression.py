@@ -172,19 +172,17 @@ def most_orders(samples: int, length: int) -> int:
     )
 
 
-def autoregression(values: Floats, there: Flags, penalty: float | None = None) -> Autoregression:
+def autoregression(values: Floats, there: Flags) -> Autoregression:
     """Fit a series (n,) on a grid; `there` flags samples."""
-    return fit(
-        np.where(there, values, 0.0)[None], there, np.ones(1), most_orders(int(there.sum()), there.size), penalty
-    )
+    return fit(np.where(there, values, 0.0)[None], there, np.ones(1), most_orders(int(there.sum()), there.size))
 
 
-def fit(columns: Floats, there: Flags, weights: Floats, orders: int, penalty: float | None = None) -> Autoregression:
-    """Fit Σ weight_i x_i x_iᵀ of columns (m, n); zero where `there` (n,) is False; penalty of an order: log n (BIC)."""
+def fit(columns: Floats, there: Flags, weights: Floats, orders: int) -> Autoregression:
+    """Fit Σ weight_i x_i x_iᵀ of columns (m, n); zero where `there` (n,) is False."""
     samples = int(there.sum())
     variance = max(float(weights @ np.einsum("it,it->i", columns, columns)) / samples, SETTINGS.least_variance)
     longest = max(SETTINGS.longest, SETTINGS.records * there.size)
-    reflections, scores = _burg(columns, weights, there, orders, penalty)
+    reflections, scores = _burg(columns, weights, there, orders)
     order, model, response = len(scores), np.zeros(0), np.ones(1)
     while order > 0:
         order = 1 + int(np.argmin(scores[:order]))
@@ -211,9 +209,7 @@ def fit(columns: Floats, there: Flags, weights: Floats, orders: int, penalty: fl
     return found
 
 
-def _burg(
-    columns: Floats, weights: Floats, there: Flags, orders: int, penalty: float | None = None
-) -> tuple[list[float], list[float]]:
+def _burg(columns: Floats, weights: Floats, there: Flags, orders: int) -> tuple[list[float], list[float]]:
     """Return reflection coefficients and BIC (Schwarz) of each order."""
     reflections: list[float] = []
     scores: list[float] = []
@@ -237,7 +233,7 @@ def _burg(
         found, most = 2.0 * cross / power, 1.0 - 1.0 / pairs
         reflection = min(max(found, -most), most)
         reflections.append(reflection)
-        score += pairs * math.log(1.0 - reflection**2) + (math.log(pairs) if penalty is None else penalty)
+        score += pairs * math.log(1.0 - reflection**2) + math.log(pairs)
         scores.append(score)
         if abs(found) > most:
             break

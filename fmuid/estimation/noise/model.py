@@ -27,7 +27,6 @@ class WhiteningSettings:
     """Numbers of the whitening matrix."""
 
     slow_depth: int = 100  # additional samples of a prediction with low-frequency noise
-    penalty: float = 2.0  # of an order of a common process (AIC): whitening leaves less color than by BIC
     least_share: float = 1e-9  # of the variance left: close poles make R singular
 
 
@@ -94,7 +93,7 @@ def common_process(parts: Sequence[tuple[OutputSeries, Floats]], variance: float
     if all(series.ordered for series, _ in parts):
         # a gap between records
         whole = np.concatenate([np.append(series.on_grid(values), np.nan) for series, values in parts])
-        found = autoregression(whole, np.isfinite(whole), SETTINGS.penalty)
+        found = autoregression(whole, np.isfinite(whole))
     else:
         own = np.concatenate([values for _, values in parts])
         found = Autoregression(np.zeros(0), max(float(np.mean(own**2)), np.finfo(float).tiny), own.size)

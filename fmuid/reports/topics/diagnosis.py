@@ -90,7 +90,7 @@ class DiagnosisMessage(Message, section="causes"):
     )
     PARTLY = doubt("The causes explain {share:.0%} of the change; their sizes are approximate.")
     CHECK = plain("Check first: {what}.", "what most often causes such a change")
-    COVERED = plain("Baseline: {count} healthy records; {ranges}.", "mean and rms values of the inputs")
+    COVERED = plain("Healthy records: {count}; {ranges}.", "mean and rms values of the inputs")
     OUTSIDE = doubt(
         "Outside the baseline: {name} = {value:.3g}, healthy {low:.3g} to {high:.3g}.",
         "an operating point that no healthy record has",
