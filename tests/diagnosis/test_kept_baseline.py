@@ -168,10 +168,10 @@ def test_a_baseline_is_made_and_extended(kept: Path, tmp_path: Path, capsys: pyt
         return code, " ".join((given.out + given.err).split())
 
     code, said = baseline("healthy.csv")
-    assert code == 0 and "Baseline of 1 healthy recordings" in said and "rms(u) 1 1" in said
+    assert code == 0 and "in the baseline: 1." in said and "rms(u) 1 1" in said
     first = StoredBaseline.read(file)
     code, said = baseline("warm.csv")
-    assert code == 0 and "2 recordings: the model's error" in said
+    assert code == 0 and "in the baseline: 2." in said
     both = StoredBaseline.read(file)
     assert both.said[0].matrix == pytest.approx(first.said[0].matrix)
     assert (len(both.said), len(both.structure.records), both.points.ranges()["rms(u)"]) == (2, 2, (1.0, 2.0))

@@ -12,9 +12,9 @@ ENOUGH = 10
 class BaselineMessage(Message, section="baseline"):
     """Content of a baseline file."""
 
-    COVERS = plain("Baseline of {count} healthy recordings; operating points below.")
+    COVERS = plain("Healthy recordings in the baseline: {count}.")
     FEW = doubt(
-        "{count} recordings: the model's error between operating points is poorly known.",
+        "Fewer than ten recordings: the model's error between operating points is poorly known.",
         remedy="Add healthy data of other operating points, up to ten or more.",
     )
 
@@ -23,7 +23,7 @@ def baseline_document(found: StoredBaseline) -> Document:
     """Return the document of a baseline file."""
     count = len(found.said)
     said = [BaselineMessage.COVERS.said(count=count)]
-    said += [BaselineMessage.FEW.said("", count=count)] if count < ENOUGH else []
+    said += [BaselineMessage.FEW.said("")] if count < ENOUGH else []
     rows = [(name, f"{low:.4g}", f"{high:.4g}") for name, (low, high) in found.points.ranges().items()]
     table = table_of_rows(("quantity", "lowest", "highest"), rows, ("quantity",))
     section = Section("baseline", "Operating points of the healthy recordings", table=table)

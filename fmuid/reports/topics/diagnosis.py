@@ -203,7 +203,7 @@ CHECKS = {
 def check_first(found: Diagnosis) -> list[Remark]:
     """Return what to check first: the causes of the verdict."""
     each = [change for one in found.evidence.explanations for change in one.changes]
-    said = [f"the part that {e.fault} models" if e.fault else CHECKS[e.kind.value].format(e.variable) for e in each]
+    said = [f"the part with fault {e.fault}" if e.fault else CHECKS[e.kind.value].format(e.variable) for e in each]
     return [DiagnosisMessage.CHECK.said(what="; ".join(dict.fromkeys(said)))] if said else []
 
 
