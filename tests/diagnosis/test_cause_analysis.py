@@ -184,7 +184,7 @@ def test_known_fault_data_show_the_model_error(coil: fmuid.System, faults: dict[
 
     plain, off = noisy(random, turns=2.0), noisy(random, turns=2.0, offset=0.02)
     own = next(each.statistic for each in found(plain).suspects if each.change.label == "turns.dR")
-    left = 0.02**2 * SAMPLES / NOISE**2 / 2.0  # half of the information on an offset is the healthy record's
+    left = 0.02**2 * SAMPLES / NOISE**2  # information on an offset; of sensors it may be new
     shown = found(healthy, turns_dR=[plain, off]).model_error
     assert found(healthy).model_error == MODEL_ERROR
     assert shown == pytest.approx(math.sqrt(left / own) / 3.0, rel=0.25)

@@ -33,6 +33,7 @@ class OutputNoiseSettings:
     block: int = 1000  # samples in which a line keeps amplitude and phase
     limits: tuple[float, ...] = (1.0, 1.5, 2.0, 2.5, 3.0)  # of innovations, in robust standard deviations
     median: float = 0.6745  # of the absolute value of a normal variable with σ = 1
+    shown: float = 0.05  # mean square of innovations; a residual far below its stated noise shows no tails
     gain: float = 1.05  # of information, from which innovations are limited
 
 
@@ -188,6 +189,8 @@ def _tails(white: Floats) -> tuple[float, float, float, float]:
         power = float(squares.mean()) or 1.0
         return limit, float(np.mean(np.abs(white) < limit)), power, 2.0 / max(float(np.var(squares / power)), 2.0)
 
+    if float(np.mean(white**2)) < SETTINGS.shown:
+        return math.inf, 1.0, 1.0, 1.0
     plain = moments(math.inf)
     scale = float(np.median(np.abs(white))) / SETTINGS.median
     best = max((moments(scale * each) for each in SETTINGS.limits), key=lambda each: each[1] ** 2 / each[2])
