@@ -10,21 +10,78 @@ from typing import Any
 BASE = ("kilogram", "meter", "second", "ampere", "kelvin", "mole", "candela", "radian")
 """Base units of FMI in its order (FMI 2.0.4, section 2.2.2)."""
 
-SECONDS = {
-    "s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6,
-    "usec": 1e-6, "ns": 1e-9, "min": 60.0, "minutes": 60.0, "h": 3600.0, "hr": 3600.0, "hours": 3600.0, "d": 86400.0,
-}  # fmt: skip
+_TIMES = {
+    1.0: "s, sec, secs, second, seconds, sek, sekunde, sekunden, seconde, secondes, с, сек, 秒",
+    1e-3: "ms, msec, msecs, millisecond, milliseconds, millisekunden, мс, 毫秒",
+    1e-6: "us, µs, μs, usec, microsecond, microseconds, мкс, 微秒",
+    1e-9: "ns, nsec, nanosecond, nanoseconds",
+    60.0: "min, mins, minute, minutes, minuten, мин",
+    3600.0: "h, hr, hrs, hour, hours, stunden, heures, ч",
+    86400.0: "d, day, days, tage",
+}
+SECONDS = {name: seconds for seconds, names in _TIMES.items() for name in names.split(", ")}
 """Units of time columns, in s."""
 
 TIME_UNITS = ("s", "ms", "us", "ns", "min", "h", "d")  # spellings for studies
 
 # Units that pint misreads or does not know; 1/min is a speed (DIN, IEC).
-_SPELLINGS = {
-    **dict.fromkeys(("rpm", "RPM", "1/min", "n/min", "U/min", "r/min", "rev/min", "Upm"), "turn/min"),
-    **dict.fromkeys(("min-1", "min^-1", "min⁻¹"), "turn/min"),
-    "Nm": "N*m", "mNm": "mN*m", "kNm": "kN*m", "As": "A*s", "Vs": "V*s", "Ws": "W*s", "mVs": "mV*s",
-    "°C": "degC", "deg C": "degC", "°F": "degF", "°": "deg", "1": "", "-": "", "p.u.": "", "pu": "",
-}  # fmt: skip
+_MEANT = {
+    "turn/min": "rpm, RPM, Rpm, rpm., r.p.m., 1/min, 1/Min, /min, n/min, U/min, u/min, Umdr/min, Umdr./min, r/min, "
+    "rev/min, revs/min, rot/min, Upm, upm, UPM, tr/min, tr/mn, giri/min, об/мин, 转/分, min-1, min^-1, min⁻¹, "
+    "min^(-1), min**-1",
+    "kiloturn/min": "krpm, x1000 rpm, rpm x1000, x1000 1/min, 1/min x1000",
+    "turn/s": "rps, rev/s, revs/s, r/s, U/s, tr/s, turn/s, turns/s",
+    "V": "Volt, Volts, volt, volts, VDC, Vdc",
+    "A": "Amp, Amps, amp, amps, Ampere, Amperes, ampere, amperes, ADC, Adc",
+    "ohm": "Ohm, Ohms, ohms, Ω, Ω",
+    "deg": "degrees, Degrees, degree, Degree, deg., °, º",
+    "deg/s": "°/s, degrees/s, deg/sec, dps",
+    "rad/s": "rad/sec, rads/s, rad s-1, rad s^-1, rad·s⁻¹, rad*s^-1, rad.s-1",
+    "percent": "%, percent, Percent, pct, Prozent",
+    "N": "Newton, Newtons",
+    "W": "Watt, Watts",
+    "V*A": "var",
+    "kV*A": "kvar",
+    "N*m": "Nm, Nm., NM, N-m, N m, N·m, Newton-meter, Newton meters",
+    "N*cm": "Ncm",
+    "N*mm": "Nmm",
+    "daN*m": "daNm",
+    "mN*m": "mNm",
+    "kN*m": "kNm",
+    "MN*m": "MNm",
+    "ft*lbf": "ft-lb, ft.lb, lb-ft, lbf-ft, lbf.ft",
+    "A*s": "As",
+    "mA*s": "mAs",
+    "V*s": "Vs",
+    "mV*s": "mVs",
+    "uV*s": "uVs",
+    "W*s": "Ws",
+    "degC": "°C, ℃, ºC, oC, deg C, deg. C, Deg C, deg_C, degrees C, Celsius, celsius, Grad C, grad C",
+    "degF": "°F, deg F, deg_F, Fahrenheit",
+    "K": "Kelvin, kelvin, °K",
+    "": "1, -, p.u., p.u, pu, PU, per unit",
+}
+_SPELLINGS = {name: unit for unit, names in _MEANT.items() for name in names.split(", ")}
+_NO_UNITS = (
+    "grad",
+    "Grad",
+    "mils",
+    "count",
+    "counts",
+    "cnt",
+    "bit",
+    "bits",
+    "digit",
+    "LSB",
+    "dB",
+    *"BCDEFPRabceklquxy",
+)
+"""Texts that pint takes for units, and people use for others."""
+_OF_BASE = re.compile(
+    r"(?P<kind>p\.?u\.?|PU|per unit|%|percent)\s*,?\s*[(\[]?\s*(?:of|base|basis|Basis|von|=|:|\*)?\s*"
+    r"(?P<base>\d+(?:\.\d+)?(?:[eE][+-]?\d+)?)\s*\*?\s*(?P<unit>[^\d\s()*][^()]*?)[)\]]?"
+)
+"""Per unit or percent of a base: ``p.u. of 157 rad/s``. Without the words, ``12 V`` may be a nominal value."""
 _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
 _POWER_OF_A_NUMBER = re.compile(r"[\d)]\s*(\^|\*\*)")  # in no unit; slow in pint
 _IN_NAMES = re.compile(r".+[_ ](rpm|[mkuµ]A|[mkuµ]V|[mk]W|[mk]?Nm|[kM]Pa|mbar|degC|deg|mOhm|kOhm|[mc]m|kHz)")
@@ -40,6 +97,11 @@ class BaseUnit:
     offset: float
 
 
+def time_unit(text: str) -> str | None:
+    """Return a unit of time as a key of `SECONDS`, None for others: ``S`` is s in a time column."""
+    return next((each for each in (text, text.lower(), text.lower().rstrip(".")) if each in SECONDS), None)
+
+
 @lru_cache(maxsize=1024)
 def parse_unit(text: str) -> BaseUnit | None:
     """Return a unit in base units, None for unknown text.
@@ -47,7 +109,12 @@ def parse_unit(text: str) -> BaseUnit | None:
     Angles have their own dimension, as in FMI: 1 Hz is not 1 rad/s.
     """
     text = text.strip()
-    if len(text) > 40 or _POWER_OF_A_NUMBER.search(text):  # longer texts are descriptions
+    based = _OF_BASE.fullmatch(text)
+    if based is not None and text not in _SPELLINGS and (unit := parse_unit(based["unit"])) is not None:
+        share = 0.01 if based["kind"] in ("%", "percent") else 1.0
+        scale = share * float(based["base"])
+        return BaseUnit(unit.exponents, scale * unit.factor, 0.0) if unit.offset == 0 and scale > 0 else None
+    if text in _NO_UNITS or len(text) > 40 or _POWER_OF_A_NUMBER.search(text):  # longer texts are descriptions
         return None
     registry = _registry()
     try:

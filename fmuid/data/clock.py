@@ -4,24 +4,37 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
 
 from fmuid.array_types import Floats
-from fmuid.data.headers import TIME_NAMES, RawTable, split_header
+from fmuid.data.coarse_clock import regular_times
+from fmuid.data.headers import TIME_NAMES, RawTable, is_time_name, split_header
+from fmuid.data.several_clocks import assigned, joined, same_clock
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
-from fmuid.units import SECONDS, TIME_UNITS
+from fmuid.units import SECONDS, TIME_UNITS, time_unit
 
 REMEDY = "Name it, give sample_rate, or set kind for rows without times."
 _LISTED_NAMES = 12
 """Names listed in a message."""
 _WITH_SUFFIX = re.compile(rf"(.*\S)[_ ]({'|'.join(SECONDS)})", re.IGNORECASE)
-_ORDERS = ("%d{0}%m{0}%Y", "%m{0}%d{0}%Y", "%Y{0}%m{0}%d", "%d{0}%b{0}%Y")
+_ORDERS = (
+    "%d{0}%m{0}%Y",
+    "%m{0}%d{0}%Y",
+    "%Y{0}%m{0}%d",
+    "%d{0}%b{0}%Y",
+    "%d{0}%m{0}%y",
+    "%m{0}%d{0}%y",
+    "%y{0}%m{0}%d",
+)
+_DOTTED = ("%d{0}%m{0}%Y", "%d{0}%m{0}%y")
+"""With dots the day is first."""
 _CLOCKS = (" %H:%M:%S.%f", " %H:%M:%S", " %H:%M", " %I:%M:%S.%f %p", " %I:%M:%S %p", " %I:%M %p")
 _CENTURY = (946_684_800.0, 4_102_444_800.0)
 """Seconds from 1970 to the years 2000 and 2100."""
@@ -35,29 +48,146 @@ def time_name(time: str | int) -> str:
     return time if isinstance(time, str) else "time"
 
 
+@dataclass(frozen=True)
+class TimedTable:
+    """Table with time in s: the first date, the time column of each column, and what was left out or done, and why."""
+
+    frame: pd.DataFrame
+    begin: pd.Timestamp | None = None
+    clocks: Mapping[str, str] = field(default_factory=dict)
+    notes: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Clock:
+    """Time column in s, NaN where empty."""
+
+    name: str
+    values: Any
+    begin: pd.Timestamp | None
+
+    def seconds(self, begin: pd.Timestamp | None = None) -> Floats:
+        """Return times in s, of dates from another one on."""
+        values = np.asarray(self.values, dtype=np.float64)
+        if self.begin is None or begin is None or not self.has_zone_as(begin):
+            return values
+        return values + (self.begin - begin).total_seconds()
+
+    def has_zone_as(self, begin: pd.Timestamp | None) -> bool:
+        """Return whether times count from zeros that compare."""
+        if self.begin is None or begin is None:
+            return self.begin is begin
+        return (self.begin.tzinfo is None) == (begin.tzinfo is None)
+
+
 def with_time(
-    raw: RawTable, time: str | int, unit: str | None, sample_rate: float | None, source: str
-) -> tuple[pd.DataFrame, pd.Timestamp | None]:
-    """Return a table with time in s, and the first date."""
+    raw: RawTable, time: str | int, unit: str | None, sample_rate: float | None, clocks: Mapping[str, str], source: str
+) -> TimedTable:
+    """Return a table with time in s; columns of several time columns come to one time axis."""
     name = time_name(time)
-    if sample_rate is not None:
-        if name in raw.frame.columns:
-            raise InputError(f"{source}: column {name!r} and sample_rate are both given. Give one of them.")
-        return raw.frame.assign(**{name: np.arange(len(raw.frame)) / sample_rate}), None
-    column = _column(raw, time, source)
+    if sample_rate is not None and name not in raw.frame.columns:
+        return TimedTable(raw.frame.assign(**{name: np.arange(len(raw.frame)) / sample_rate}))
     if unit is not None and unit not in SECONDS:
         raise InputError(f"{source}: time_unit {unit!r} is unknown. Use {', '.join(TIME_UNITS)}.")
+    main = _clock(raw, _column(raw, time, source), unit, source)
+    others, notes = _other_clocks(raw, main, unit, clocks, source)
+    frame = raw.frame
+    if others:
+        seconds = {each.name: each.seconds(main.begin) for each in (main, *others)}
+        names = [str(each) for each in frame.columns]
+        there = {each: raw.frame[each].notna().to_numpy() for each in names}
+        there |= {clock: np.isfinite(values) for clock, values in seconds.items()}
+        given = clocks or raw.clocks
+        found = {each: given.get(each, main.name) for each in names if each not in seconds}
+        found = found if given else assigned(names, [each for each in names if each in seconds], there, source)
+        final = {each: f"{clock} 1" if clock == name else clock for each, clock in found.items()}
+        return TimedTable(joined(frame, name, seconds, found, source), main.begin, final, notes)
+    frame = frame.assign(**{main.name: main.values}).rename(columns={main.name: name})
+    try:
+        times = np.asarray(frame[name], dtype=np.float64)
+    except (ValueError, TypeError):  # refused by the reader, with its row
+        return TimedTable(frame, main.begin, notes=notes)
+    regular = regular_times(times, frame.drop(columns=name), sample_rate, name, source)
+    if regular is not None:
+        said = f"repeated; rebuilt with {regular[1] - regular[0]:.6g} s between rows"
+        return TimedTable(frame.assign(**{name: regular}), main.begin, notes=notes | {name: said})
+    if sample_rate is not None:
+        raise InputError(f"{source}: column {name!r} and sample_rate are both given. Give one of them.")
+    return TimedTable(frame, main.begin, notes=notes)
+
+
+def _clock(raw: RawTable, column: str, unit: str | None, source: str, usual: str | None = None) -> _Clock:
+    """Return a time column in s; `usual` is its unit where nothing says one."""
     values, begin = _as_numbers(raw.frame[column], column, source)
     if begin is not None and begin.tzinfo is None:
         _check_clock(raw.frame[column], np.asarray(values, dtype=np.float64), column, source)
     said_unit = unit or _unit_said(raw, column)
+    if begin is None and said_unit is None and column in raw.units:
+        said = f"time column {column!r} has the unit {raw.units[column]!r}, which is no time"
+        raise InputError(f'{source}: {said}. Set time_unit, such as "s", or another time column.')
     if begin is None and (since_1970 := _since_1970(values, said_unit)):
         values, begin = _seconds(pd.to_datetime(values, unit=since_1970))
     if said_unit is None and column in raw.days:
         raise InputError(f'{source}: column {column or "(no name)"!r} may be in days. Set time_unit = "d" or "s".')
-    factor = 1.0 if begin is not None else SECONDS[said_unit or "s"]
-    frame = raw.frame.assign(**{column: values if factor == 1.0 else _scaled(values, factor)})
-    return frame.rename(columns={column: name}), begin
+    factor = 1.0 if begin is not None else SECONDS[said_unit or usual or "s"]
+    return _Clock(column, values if factor == 1.0 else _scaled(values, factor), begin)
+
+
+def _other_clocks(
+    raw: RawTable, main: _Clock, unit: str | None, given: Mapping[str, str], source: str
+) -> tuple[list[_Clock], dict[str, str]]:
+    """Return further time columns with times of their own; others by the reason that they are left out."""
+    names = [str(name) for name in raw.frame.columns]
+    for column in (*given, *given.values()):
+        if column not in names:
+            raise InputError(f"{source}: {missing_column('clocks', column, names)}")
+    said = {*(given or raw.clocks).values()} - {main.name}
+    asked = [each for each in names if each in said] if given or raw.clocks else [n for n in names if n != main.name]
+    usual = unit or _unit_said(raw, main.name)
+    found, notes = list[_Clock](), dict[str, str]()
+    for name in asked:
+        clock = _clock(raw, name, unit, source, usual) if said else _likely_clock(raw, name, unit, usual, source)
+        if clock is None:
+            continue
+        times, other = main.seconds(), clock.seconds(main.begin)
+        apart = not _overlap(times, other) or not clock.has_zone_as(main.begin)
+        trails = names[0] == main.name and not any(_is_data(raw, each) for each in names[names.index(name) + 1 :])
+        if same_clock(times, other, anywhere=apart):
+            notes[name] = f"the same times as {main.name!r}"
+        elif apart and trails and not said:
+            notes[name] = f"times without a common zero with {main.name!r}, and no columns after them"
+        else:
+            found.append(clock)
+    return found, notes
+
+
+def _is_data(raw: RawTable, name: str) -> bool:
+    return bool(pd.api.types.is_numeric_dtype(raw.frame[name].dtype)) and not is_time_name(name)
+
+
+def _overlap(one: Floats, other: Floats) -> bool:
+    first, last = max(np.nanmin(one), np.nanmin(other)), min(np.nanmax(one), np.nanmax(other))
+    return bool(last > first)
+
+
+def _likely_clock(raw: RawTable, name: str, unit: str | None, usual: str | None, source: str) -> _Clock | None:
+    """Return a column as a time column if name, unit and values say so."""
+    said, series = raw.units.get(name), raw.frame[name]
+    dated = pd.api.types.is_datetime64_any_dtype(series.dtype)
+    timed = said is not None and time_unit(said) is not None
+    if (said is not None and not timed) or not (dated or timed or is_time_name(name)):
+        return None
+    try:
+        clock = _clock(raw, name, unit if said is None else None, source, usual)
+        times = clock.seconds()
+    except (InputError, ValueError, TypeError):
+        return None
+    steps = np.diff(times[np.isfinite(times)])
+    if steps.size < 2 or (steps < 0).any() or not (steps > 0).any():
+        return None
+    usual_one = np.median(steps)
+    regular = float((np.abs(steps - usual_one) <= 0.5 * usual_one).mean()) > 0.9
+    return clock if dated or timed or clock.begin is not None or regular else None
 
 
 def _are_times(values: Any, source: str) -> bool:
@@ -91,7 +221,7 @@ def _column(raw: RawTable, time: str | int, source: str) -> str:
     if time == "time":
         if raw.time is not None:
             return raw.time
-        timely = [name for name in names if raw.units.get(name) in (None, *SECONDS)]
+        timely = [name for name in names if raw.units.get(name) is None or time_unit(raw.units[name]) is not None]
         for known in TIME_NAMES:
             near = [name for name in timely if _bare(name).lower() == known and name != "T"]
             if len(near) == 1:
@@ -100,6 +230,9 @@ def _column(raw: RawTable, time: str | int, source: str) -> str:
             return "T"
         if names[0] == "" and _are_times(raw.frame[""], source):  # an index of pandas
             return ""
+        likely = [name for name in timely if is_time_name(name) and _likely_clock(raw, name, None, None, source)]
+        if likely:
+            return likely[0]
     raise InputError(f"{source}: {missing_column('time', time, names, REMEDY)}")
 
 
@@ -126,8 +259,8 @@ def _bare(name: str) -> str:
 def _unit_said(raw: RawTable, column: str) -> str | None:
     """Return the time unit stated by the table, if any."""
     said = raw.units.get(column)
-    if said in SECONDS:
-        return str(said)
+    if said is not None and time_unit(said) is not None:
+        return time_unit(said)
     suffix = _WITH_SUFFIX.fullmatch(column)
     return suffix[2].lower() if suffix and said is None else None
 
@@ -186,7 +319,9 @@ def _dates(texts: pd.Series[Any], column: str, source: str) -> pd.Series[Any] | 
     if not texts.str.contains(r"\d+[./-]\w+[./-]\d+.*:", regex=True).all():
         return None
     points = texts.str.replace(",", ".")
-    forms = [order.format(mark) + clock for order, mark, clock in itertools.product(_ORDERS, "./-", _CLOCKS)]
+    dotted = re.match(r"\d{1,2}\.\d{1,2}\.", str(texts.iloc[0]))
+    orders = _DOTTED if dotted else _ORDERS
+    forms = [order.format(mark) + clock for order, mark, clock in itertools.product(orders, "./-", _CLOCKS)]
     fitting = [form for form in forms if not pd.isna(pd.to_datetime(points.iloc[0], format=form, errors="coerce"))]
     every = [pd.to_datetime(points, format=form, errors="coerce") for form in fitting]
     readings = [read for read in every if not read.isna().any()]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,12 @@ import numpy as np
 import pandas as pd
 
 from fmuid.array_types import Floats
-from fmuid.data.clock import time_name, with_time
-from fmuid.data.headers import RawTable, check_once, is_number, named
+from fmuid.data.clock import TimedTable, time_name, with_time
+from fmuid.data.headers import OVERLOADS, RawTable, check_once, is_number, named, numbers_of
 from fmuid.data.readers import BINARY, WITH_SHEETS, read_binary
 from fmuid.data.readers.base import FileColumns
 from fmuid.data.readers.text import read_text
+from fmuid.data.several_clocks import CLOCKS
 from fmuid.errors import InputError
 from fmuid.files import is_file, is_folder
 
@@ -25,6 +27,8 @@ TABLE_SUFFIXES = (*TEXT, ".json", *BINARY)
 """Suffixes of the formats that are read."""
 UNITS, BEGIN, SOURCE = "units", "begin", "source"
 """Attributes of a frame that was read: units as the file writes them, the date of second 0, its name in messages."""
+LEFT_OUT, DECIDED = "left out", "missing is given"
+"""Attributes: columns that were left out or changed, with the reason; whether marks of missing samples are given."""
 
 
 def read_data(
@@ -34,6 +38,8 @@ def read_data(
     time_unit: str | None = None,
     sample_rate: float | None = None,
     sheet: str | int | None = None,
+    missing: Sequence[str | float] | None = None,
+    clocks: Mapping[str, str] | None = None,
     source: str | None = None,
 ) -> pd.DataFrame:
     """Read a data file.
@@ -65,6 +71,11 @@ def read_data(
         Samples per second of a file without times.
     sheet : str or int, optional
         Sheet of a spreadsheet or frame of an HDF5 file, by name or place from 1. Default: the first with a table.
+    missing : sequence of str or float, optional
+        Texts and numbers that stand for no sample, such as ``["OL", -9999]``. Values far beyond all others are
+        refused where they are used, unless it is given.
+    clocks : mapping of str to str, optional
+        Column to its own time column, of tables with several. Default: by names and positions.
     source : str, optional
         Name in messages. Default: the path.
 
@@ -107,15 +118,39 @@ def read_data(
         raw = _raw_table(read_binary(path, source, sheet), source)
     if len(raw.frame) == 0:
         raise InputError(f"{source}: no samples below the header. Give measured samples.")
-    frame, begin = raw.frame, None
+    raw = replace(raw, frame=raw.frame.apply(_without_marks, marks=tuple(missing or ())))
+    timed = TimedTable(raw.frame)
     if time is not None:
-        frame, begin = with_time(raw, time, time_unit, sample_rate, source)
-        numeric_column(frame, time_name(time), source)
-    others = set(raw.frame.columns) & set(frame.columns) - {time}
+        timed = with_time(raw, time, time_unit, sample_rate, clocks or {}, source)
+        numeric_column(timed.frame, time_name(time), source)
+    frame = timed.frame
+    others = set(raw.frame.columns) & set(frame.columns) - {time, *timed.clocks.values()}
     frame.attrs = {UNITS: {name: unit for name, unit in raw.units.items() if name in others}, SOURCE: source}
-    if begin is not None:
-        frame.attrs[BEGIN] = begin
+    frame.attrs |= {LEFT_OUT: {**raw.left_out, **timed.notes}}
+    frame.attrs |= {CLOCKS: dict(timed.clocks)} if timed.clocks else {}
+    frame.attrs |= {DECIDED: True} if missing is not None else {}
+    frame.attrs |= {BEGIN: timed.begin} if timed.begin is not None else {}
     return frame
+
+
+def _without_marks(column: pd.Series[Any], marks: Sequence[str | float]) -> pd.Series[Any]:
+    """Return a column with NaN for marks of missing samples and SCPI's infinity."""
+    kind = column.dtype
+    if pd.api.types.is_float_dtype(kind) or (marks and pd.api.types.is_integer_dtype(kind)):
+        numbers = [each for each in marks if isinstance(each, int | float)]
+        found = column.isin(numbers) if numbers else None
+        if pd.api.types.is_float_dtype(kind) and column.abs().max() > min(OVERLOADS) / 2:
+            beyond = np.isclose(column.abs().to_numpy()[:, None], OVERLOADS, rtol=1e-6).any(axis=1)
+            found = beyond if found is None else found | beyond
+        return column if found is None or not found.any() else column.mask(found).astype(np.float64)
+    if marks and (pd.api.types.is_object_dtype(kind) or pd.api.types.is_string_dtype(kind)):
+        texts = {str(each).strip().lower() for each in marks}
+        kept = column.where(~column.map(lambda cell: str(cell).strip().lower() in texts))
+        numbers_or_none = numbers_of(kept.dropna().astype(str), ".")
+        if numbers_or_none is None:
+            return kept
+        return pd.Series(numbers_or_none, kept.dropna().index, dtype=np.float64).reindex(column.index)
+    return column
 
 
 def _read_json(path: Path, source: str) -> RawTable:

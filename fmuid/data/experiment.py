@@ -15,12 +15,14 @@ import pandas as pd
 
 from fmuid.array_types import Flags, Floats
 from fmuid.data.clock import column_of, missing_column
-from fmuid.data.data_file import SOURCE, UNITS, numeric_column
+from fmuid.data.data_file import DECIDED, SOURCE, UNITS, numeric_column
+from fmuid.data.far_values import check_values
 from fmuid.data.filters import missing_rows, usual_step
 from fmuid.data.interpolation import HELD, as_held, interpolation_words, slopes
 from fmuid.data.observation import Observation
 from fmuid.data.observed_table import model_roles, observed_table
 from fmuid.data.sensor_map import SensorMap
+from fmuid.data.several_clocks import inputs_at_all_times
 from fmuid.display_mixins import HtmlTableMixin
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
@@ -183,9 +185,13 @@ class Experiment(HtmlTableMixin):
             for column in columns:
                 if column not in frame.columns:
                     raise InputError(f"{source}: {missing_column(role, column, frame.columns)}")
+        words = interpolation_words(source, self.interpolation, inputs)
+        for column in {*inputs.values(), *there.values()} if SOURCE in attributes and DECIDED not in attributes else ():
+            check_values(numeric_column(frame, column, source), column, source)
+        driven = dict(zip(inputs.values(), words, strict=True))
+        frame = inputs_at_all_times(frame, self.time, driven, there.values(), source)
         times = _times(source, frame, self.time, self.least_rows)
         output_values = _values(source, frame, times, "output", outputs, there)
-        words = interpolation_words(source, self.interpolation, inputs)
         if inputs and self.measured:
             _check_rows(source, times, inputs, words)
         input_values = as_held(_values(source, frame, times, "input", inputs, inputs), words)

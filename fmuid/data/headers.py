@@ -24,14 +24,35 @@ Cell = str | float | int | bool | date | datetime | time | timedelta | None
 MISSING = ("", "-", "--", "---", "nan", "na", "n/a", "#n/a", "null", "none", "inf", "-inf")
 """Cells without a sample, in small letters; infinite numbers are refused where they are used."""
 
-TIME_NAMES = ("time", "t", "zeit", "timestamp", "timestamps", "datetime", "date", "date/time", "datum", "temps")
+_MARKS = """---- ----- – — ? * nil ∞ -∞ +∞ missing nodata bad invalid error err fault burnout open ******** ###### +++++
+1.#inf -1.#inf 1.#ind -1.#ind 1.#qnan #value! #num! #div/0! #ref! #name? #wert! #zahl! #bezug! #valeur! #n/v #nv
+ol -ol +ol o.l o.l. 0.l .ol 0l overload overflow over +over -over overrange over-range ovld ovl ovr under underflow"""
+NO_SAMPLE = frozenset((*MISSING, *_MARKS.split(), "over range", "no data", "no signal", "underrange"))
+"""The same of samples alone: errors of spreadsheets, overload of instruments."""
+
+OVERLOADS = (9.9e37, 9.91e37)
+"""Numbers for infinity and no number in SCPI (1999.0, section 7.2.1)."""
+
+TIME_NAMES = (
+    "time", "t", "zeit", "timestamp", "timestamps", "time stamp", "zeitstempel", "datetime", "date", "date/time",
+    "date time", "datum", "datum/zeit", "datum zeit", "temps", "tiempo", "tempo", "tijd", "tid", "czas", "čas", "zaman",
+    "время", "時間", "时间", "時刻", "elapsed time", "relative time", "rel. time", "test time", "seconds", "second",
+    "sekunden", "x_value", "x-axis", "zeitachse", "elapsed", "utc", "ts",
+)  # fmt: skip
 """What tables call their time, in small letters, in the order of preference."""
 
+_TIME_WORDS = ("time", "t", "zeit", "timestamp", "datetime", "temps", "tiempo", "tempo", "zeitstempel", "clock", "ts")
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?\s*", re.ASCII)
 _COMMA_NUMBER = re.compile(r"\s*[+-]?(\d+,?\d*|,\d+)([eEdD][+-]?\d+)?\s*", re.ASCII)
 _WITH_UNIT = re.compile(
     r"(?P<name>.*?\S)(?P<gap>\s*)(\((?P<round>[^()]*(\([^()]*\)[^()]*)*)\)|\[(?P<square>[^\[\]]*)\])"
 )
+_AFTER_WORD = re.compile(r"(?P<name>.*\S)(?:,? in | ?/ |, )(?P<unit>\S.*)")
+_ALTERED = re.compile(
+    r"[kmµun]?(V|A|W|Hz|Nm|N|Pa|bar)(_?(eff|rms|RMS|pk|pp|ac|dc|AC|DC|avg|peak|mean|p-p|x?\d+))", re.ASCII
+)
+"""Units with an addition that changes their meaning."""
+_UNIT_LENGTH = 12
 _INDEX = re.compile(r"[\d\s,:]*")
 _SPACES = " \u00a0\u202f'’"
 _GROUPED = re.compile(rf"\s*[+-]?\d{{1,3}}(?:([.,{_SPACES}])\d{{3}})(?:\1\d{{3}})*(?:([.,])\d+)?\s*", re.ASCII)
@@ -42,12 +63,15 @@ class RawTable:
     """Data file before its times are known.
 
     `units` are as written, `time` is the format's own time column, `days` are columns that may be pandas durations.
+    `clocks` are the time columns of columns, where the format says them; `left_out` names what was not read, and why.
     """
 
     frame: pd.DataFrame
     units: dict[str, str] = field(default_factory=dict)
     time: str | None = None
     days: frozenset[str] = frozenset()
+    clocks: dict[str, str] = field(default_factory=dict)
+    left_out: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -60,14 +84,29 @@ class TableHeader:
 
 
 def split_header(header: str) -> tuple[str, str | None]:
-    """Return name and unit of a header: ``w (rpm)``, ``ids [mA]``, but not ``der(y)``."""
-    found = _WITH_UNIT.fullmatch(header.strip())
+    """Return name and unit of a header: ``w (rpm)``, ``ids [mA]``, ``U / V``, ``n in 1/min``, but not ``der(y)``.
+
+    Brackets that hold no known unit but look like one are units, too: their column is refused where it is used.
+    """
+    header = " ".join(header.split())
+    found = _WITH_UNIT.fullmatch(header)
     if found is None:
-        return header.strip(), None
-    unit = found["round"] if found["round"] is not None else found["square"]
-    if found["name"] == "der" or (not found["gap"] and _INDEX.fullmatch(unit)) or not is_unit(unit):
-        return header.strip(), None
-    return found["name"], unit.strip()
+        words = _AFTER_WORD.fullmatch(header)
+        known = words is not None and (is_unit(words["unit"]) or words["unit"].startswith(("1/", "min")))
+        return (words["name"], words["unit"]) if words is not None and known else (header, None)
+    unit = (found["round"] if found["round"] is not None else found["square"]).strip()
+    if found["name"] == "der" or (not found["gap"] and _INDEX.fullmatch(unit)):
+        return header, None
+    spaced = found["square"] is not None and bool(found["gap"]) and len(unit) <= _UNIT_LENGTH
+    return (found["name"], unit) if is_unit(unit) or (unit and (spaced or _like_unit(unit))) else (header, None)
+
+
+def _like_unit(text: str) -> bool:
+    """Return whether an unknown text is written as units are: ``Aeff``, ``A*10``."""
+    if len(text) > _UNIT_LENGTH or " " in text:
+        return False
+    marked = re.search(r"[/*·^%°²³⁻¹Ωµμ]", text) is not None
+    return marked or _ALTERED.fullmatch(text) is not None
 
 
 def is_unit(text: str) -> bool:
@@ -85,9 +124,28 @@ def named(headers: Sequence[str], units: Sequence[str] = ()) -> tuple[list[str],
     names = [
         name if bare.count(name) == 1 else header.strip() for (name, _), header in zip(split, headers, strict=True)
     ]
-    below = [cell.strip().strip("[]()") for cell in units] or [""] * len(names)
+    names = _numbered_clocks(names)
+    below = [cell.strip().strip("[]()").strip() for cell in units] or [""] * len(names)
     said = {name: below[k] or split[k][1] for k, name in enumerate(names)}
     return names, {name: unit for name, unit in said.items() if unit}
+
+
+def is_time_name(name: str) -> bool:
+    """Return whether a name is one of time, with or without an addition: ``t_slow``, ``Time 2``, ``u time``."""
+    low = name.strip().lower()
+    words = re.findall(r"[^\W\d_]+", name)
+    if not words or "T" in (words[0], words[-1]):  # a temperature
+        return False
+    return low in TIME_NAMES or any(word.lower() in _TIME_WORDS for word in (words[0], words[-1]))
+
+
+def _numbered_clocks(names: list[str]) -> list[str]:
+    """Return names in which several time columns of one name have numbers."""
+    found: list[str] = []
+    for k, name in enumerate(names):
+        again = names[:k].count(name)
+        found.append(f"{name} {again + 1}" if again and is_time_name(name) else name)
+    return found
 
 
 def check_once(source: str, names: Sequence[str]) -> None:
@@ -156,18 +214,22 @@ def _number(cell: str) -> float:
 def is_missing(cell: Cell) -> bool:
     """Return whether a cell holds no sample."""
     if isinstance(cell, str):
-        return cell.strip().lower() in MISSING
+        return cell.strip().lower() in NO_SAMPLE
     return cell is None or (isinstance(cell, float) and math.isnan(cell))
 
 
 def _there(cell: Cell) -> bool:
-    return not is_missing(cell)
+    return not (cell.strip().lower() in MISSING if isinstance(cell, str) else is_missing(cell))
 
 
 def _are_units(row: Sequence[Cell]) -> bool:
+    """Return whether cells are units; of three and more with a time, some may be unknown."""
     texts = [text.strip("[]() ") for text in _texts(row)]
-    return any(texts) and all(text in ("", "-") or is_unit(text) for text in texts)
+    there = [text for text in texts if text not in ("", "-")]
+    known = [text for text in there if is_unit(text)]
+    timed = len(there) > 2 and any(text in SECONDS for text in there) and 2 * len(known) > len(there)
+    return bool(there) and (len(known) == len(there) or (timed and all(len(text) <= _UNIT_LENGTH for text in there)))
 
 
 def _texts(row: Sequence[Cell]) -> tuple[str, ...]:
-    return tuple("" if cell is None or is_missing(cell) else str(cell).strip() for cell in row)
+    return tuple(" ".join(str(cell).split()) if _there(cell) else "" for cell in row)

@@ -27,11 +27,11 @@ from fmuid.models import (
 from fmuid.simulation import MOST_STEPS, Value
 from fmuid.studies import value_kinds as kinds
 from fmuid.studies.array_elements import by_element
+from fmuid.studies.data_section import DataSection
 from fmuid.studies.observation import ObservationSection
 from fmuid.studies.operating_points import KindSection
 from fmuid.studies.parameters import PriorSource, ResultValueSection
 from fmuid.studies.section import SectionLocation, Settings, StudySection, entry
-from fmuid.units import TIME_UNITS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -226,17 +226,10 @@ Interpolation = Annotated[str, kinds.one_of(INTERPOLATIONS)]
 Interpolations = Annotated[dict[str, Interpolation], kinds.Entries("{ input = interpolation }")]
 
 
-class ExperimentSettings(KindSection):
+class ExperimentSettings(KindSection, DataSection):
     """Experiment: a data file with the roles of its columns."""
 
-    data: kinds.File = entry(..., "data file")
     name: kinds.Text = entry("", "name in messages and figures; default: the file name without suffix")
-    time: kinds.NameOrPlace = entry("time", "time column, by name or number from 1")
-    time_unit: Annotated[str, kinds.one_of(TIME_UNITS)] | None = entry(
-        None, "unit of the time column; default: that of the file, else s"
-    )
-    sample_rate: kinds.Positive | None = entry(None, "samples per second, for data without times")
-    sheet: kinds.NameOrPlace | None = entry(None, "sheet, by name or number from 1; default: the first with data")
     inputs: kinds.Columns = entry({}, "measured inputs of the FMU")
     outputs: kinds.Columns = entry({}, "measured outputs of the FMU; those of an observation are its sensors")
     interpolation: Annotated[Interpolation | Interpolations, kinds.BY_SHAPE] = entry(
@@ -279,13 +272,6 @@ class ExperimentSettings(KindSection):
         """Read a data file as an experiment."""
         source = source or str(table)
         return self.experiment(self.read_frame(table, source), source, measured=measured)
-
-    def read_frame(self, table: Path, source: str | None = None) -> pd.DataFrame:
-        """Read a data file before ``[experiments.preprocess]``."""
-        from fmuid.data import read_data
-
-        how = {key: getattr(self, key) for key in ("time_unit", "sample_rate", "sheet")}
-        return read_data(table, self.time if self.in_time else None, **how, source=source or str(table))
 
     def experiment(self, frame: pd.DataFrame, source: str, *, measured: bool = True) -> Experiment:
         """Return the experiment of a frame; outputs that are not `measured` need no column."""

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from fmuid.data import Experiment
 
 KINDS = ("time", "steady", "frequency")
-OF_TIME = ("time", "time_unit", "sample_rate", "interpolation", "warmup", "observation")
+OF_TIME = ("time", "time_unit", "sample_rate", "clocks", "interpolation", "warmup", "observation")
 """Keys that need a time."""
 OF_KIND = {"steady": ("frame", "guess"), "frequency": ("frequency", "responses", "point")}
 """Keys of each other kind."""

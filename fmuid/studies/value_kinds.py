@@ -187,6 +187,7 @@ NameOrPlace = Annotated[
     ),
     ValueKind(NAME_OR_PLACE),
 ]
+Marks = Annotated[list[Text | Finite], ValueKind('a list of texts and numbers, ["OL", -9999]')]
 Texts = Annotated[dict[str, Text], Entries("{ name = text }")]
 Scalars = Annotated[dict[str, Scalar], Entries("{ name = value }")]
 Finites = Annotated[dict[str, Finite], Entries("{ name = number }")]

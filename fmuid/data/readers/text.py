@@ -6,6 +6,7 @@ import codecs
 import csv
 import gzip
 import io
+import re
 import zipfile
 import zlib
 from collections import Counter
@@ -31,6 +32,7 @@ from fmuid.data.headers import (
     named,
     numbers_of,
 )
+from fmuid.data.readers.encodings import decoded
 from fmuid.errors import InputError
 
 _LOOKED_AT = 1 << 18
@@ -41,6 +43,8 @@ _SPACES = r"\s+"
 _SEPARATORS = (",", ";", "\t", "|", _SPACES)
 _SPREADSHEET = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
 """First bytes of .xlsx, .ods and .zip, and of .xls."""
+_OF_MACS = re.compile(r"(^|/)(__MACOSX/|\.)")
+"""Entries that a Mac adds to archives."""
 _COMMENT = ("#", "%", "//")
 
 
@@ -62,30 +66,37 @@ def read_text(path: Path, source: str) -> RawTable:
         start = file.read(_LOOKED_AT)
     if start.startswith(_SPREADSHEET):
         raise InputError(f"{source}: is a spreadsheet or packed file. Name it .xlsx, .ods, .xls or .zip.")
-    for encoding, text in _decoded(start):
+    short = len(start) < _LOOKED_AT
+    for encoding, text in decoded(start, whole=short):
         if "\0" in text:
             raise InputError(f"{source}: not a text file. Give a table.")
-        whole = text[: text.rfind("\n") + 1] or text if len(start) == _LOOKED_AT else text
-        layout = _layout(source, whole)
-        names, said = named(layout.head.names, layout.head.units)
-        check_once(source, names)
         with suppress(UnicodeDecodeError):  # further down: the next encoding is tried
-            return RawTable(_samples(_without_end(opened, encoding, layout), source, layout, encoding, names), said)
+            again = _as_utf8(opened, encoding, text)
+            with again() as file:
+                first = file.read(_LOOKED_AT)
+            shown = codecs.getincrementaldecoder("utf-8-sig")().decode(first, final=len(first) < _LOOKED_AT)
+            layout = _layout(source, shown if short else shown[: shown.rfind("\n") + 1] or shown)
+            names, said = named(layout.head.names, layout.head.units)
+            check_once(source, names)
+            return RawTable(_samples(_without_end(again, layout), source, layout, names), said)
     raise InputError(f"{source}: not text in UTF-8, UTF-16 or cp1252. Save it as UTF-8.")
 
 
-def _decoded(start: bytes) -> Iterator[tuple[str, str]]:
-    """Yield each possible encoding of the first bytes, and their text."""
-    marked = start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-    for encoding in ("utf-16" if marked else "utf-8-sig", "cp1252"):
-        with suppress(UnicodeDecodeError):
-            yield encoding, codecs.getincrementaldecoder(encoding)().decode(start, final=len(start) < _LOOKED_AT)
+def _as_utf8(opened: Callable[[], IO[bytes]], encoding: str, text: str) -> Callable[[], IO[bytes]]:
+    """Return an opener of UTF-8 with line feeds."""
+    bare = "\r" in text and "\n" not in text
+    if encoding == "utf-8-sig" and not bare:
+        return opened
+    with opened() as file:
+        whole = file.read().decode(encoding)
+    return partial(io.BytesIO, (whole.replace("\r", "\n") if bare else whole).encode())
 
 
 def first_lines(path: Path, count: int) -> list[str]:
     """Return at most `count` first lines of a text file."""
     with _opener(path, str(path))() as file:
-        text = next((text for _, text in _decoded(file.read(_LOOKED_AT))), "\0")
+        start = file.read(_LOOKED_AT)
+        text = next((text for _, text in decoded(start, whole=len(start) < _LOOKED_AT)), "\0")
     return [] if "\0" in text else text.splitlines()[:count]
 
 
@@ -97,7 +108,7 @@ def head_length(start: bytes, source: str) -> int:
     InputError
         If it is no table, or has no row of samples yet.
     """
-    text = next((text for _, text in _decoded(start)), "")
+    text = next((text for _, text in decoded(start, whole=True)), "")
     layout = _layout(source, text)
     lines = start.splitlines(keepends=True)
     if not b"".join(lines[layout.line :]).strip():
@@ -105,14 +116,14 @@ def head_length(start: bytes, source: str) -> int:
     return len(b"".join(lines[: layout.line]))
 
 
-def _without_end(opened: Callable[[], IO[bytes]], encoding: str, layout: _Layout) -> Callable[[], IO[bytes]]:
+def _without_end(opened: Callable[[], IO[bytes]], layout: _Layout) -> Callable[[], IO[bytes]]:
     """Return an opener without the lines after the samples."""
     with opened() as file:
         size = file.seek(0, io.SEEK_END)
         file.seek(max(size - _END, 0))
         lines = file.read().splitlines(keepends=True)[1:]
     end = size
-    while lines and encoding != "utf-16" and _says_nothing(lines[-1].decode(encoding, "replace"), layout):
+    while lines and _says_nothing(lines[-1].decode("utf-8", "replace"), layout):
         end -= len(lines.pop())
     if end == size:
         return opened
@@ -138,7 +149,7 @@ def _opener(path: Path, source: str) -> Callable[[], IO[bytes]]:
         if suffix == ".gz":
             return partial(io.BytesIO, gzip.decompress(path.read_bytes()))
         with zipfile.ZipFile(path) as archive:
-            inside = archive.namelist()
+            inside = [each for each in archive.namelist() if not each.endswith("/") and not _OF_MACS.search(each)]
             if len(inside) != 1:
                 raise InputError(f"{source}: {len(inside)} files in the archive. Pack the table alone.")
             return partial(io.BytesIO, archive.read(inside[0]))
@@ -223,20 +234,18 @@ def _as_it_is(source: str, text: str) -> _Layout:
     return _Layout(",", ".", TableHeader(header, (), 1), read[0][0], len(header))
 
 
-def _samples(
-    opened: Callable[[], IO[bytes]], source: str, layout: _Layout, encoding: str, names: list[str]
-) -> pd.DataFrame:
+def _samples(opened: Callable[[], IO[bytes]], source: str, layout: _Layout, names: list[str]) -> pd.DataFrame:
     try:
         with opened() as file:
+            for _ in range(layout.line):
+                file.readline()
             frame: pd.DataFrame = pd.read_csv(
                 file,
                 header=None,
                 names=[*names, *["\0"] * (layout.width - len(names))],
-                skiprows=layout.line,
                 index_col=False,
                 sep=layout.separator,
                 decimal=layout.decimal,
-                encoding=encoding,
                 na_values=[mark for mark in MISSING if "inf" not in mark],
                 skipinitialspace=True,
                 low_memory=False,
@@ -250,7 +259,7 @@ def _samples(
         frame = frame[~(frame == list(layout.head.names)).all(axis="columns")].reset_index(drop=True)
     frame = frame.apply(_as_numbers, decimal=layout.decimal)
     if frame[names[-1]].hasnans:  # as it is, too, where a row ends early
-        with io.TextIOWrapper(opened(), encoding, newline="") as text:
+        with io.TextIOWrapper(opened(), "utf-8-sig", newline="") as text:
             _check_rows((row for _, row in _rows(text, layout.separator)), source, layout.width, layout.head.first)
     return frame
 
