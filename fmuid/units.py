@@ -98,7 +98,7 @@ class BaseUnit:
 
 
 def time_unit(text: str) -> str | None:
-    """Return a unit of time as a key of `SECONDS`, None for others: ``S`` is s in a time column."""
+    """Return a unit of time as in `SECONDS`, None for others: ``S`` is s in a time column."""
     return next((each for each in (text, text.lower(), text.lower().rstrip(".")) if each in SECONDS), None)
 
 

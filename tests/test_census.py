@@ -7,7 +7,7 @@ from tests.support.house import PACKAGE, statements, tree
 
 FILES = {".".join(path.relative_to(PACKAGE).with_suffix("").parts): path for path in sorted(PACKAGE.rglob("*.py"))}
 
-MAX_LINES = 66_000
+MAX_LINES = 61428
 """Lines of Python, the exporter included; the plan has 41,700."""
 MAX_CONSTANTS = 131
 """Numbers that capitals of a module stand for; those of an algorithm belong to its settings. The plan has 150."""
@@ -17,6 +17,7 @@ MANY_FIELDS = {
 }
 """Classes with more fields that are still to be divided."""
 MANY_ARGUMENTS = {
+    "data.data_file.read_data",
     "data.signals.multisine",
     "data.signals.prbs",
     "estimation.equation_error.instrumental_variables",

@@ -131,7 +131,7 @@ def named(headers: Sequence[str], units: Sequence[str] = ()) -> tuple[list[str],
 
 
 def is_time_name(name: str) -> bool:
-    """Return whether a name is one of time, with or without an addition: ``t_slow``, ``Time 2``, ``u time``."""
+    """Return whether a name is one of time, perhaps with an addition: ``t_slow``, ``Time 2``, ``u time``."""
     low = name.strip().lower()
     words = re.findall(r"[^\W\d_]+", name)
     if not words or "T" in (words[0], words[-1]):  # a temperature

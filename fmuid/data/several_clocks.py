@@ -95,7 +95,7 @@ def _undecided(clocks: Sequence[str], column: str, source: str) -> InputError:
 def joined(
     frame: pd.DataFrame, time: str, seconds: Mapping[str, Floats], clocks: Mapping[str, str], source: str
 ) -> pd.DataFrame:
-    """Return all columns at the times of all clocks, NaN at those of others; times are in s.
+    """Return columns at the times of all clocks, NaN at others; s.
 
     Raises
     ------
@@ -134,7 +134,9 @@ def joined(
 def inputs_at_all_times(
     frame: pd.DataFrame, time: str, inputs: Mapping[str, str], outputs: Iterable[str], source: str
 ) -> pd.DataFrame:
-    """Return a frame whose inputs (column to interpolation) have values at the times of other columns, too.
+    """Return a frame whose inputs have values at all times.
+
+    `inputs` are columns with their interpolation.
 
     Rows of unused time columns, and those outside the times of an input, are left out.
     """

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from fmuid.studies import value_kinds as kinds
 from fmuid.studies.section import StudySection, entry
 from fmuid.units import TIME_UNITS
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 class DataSection(StudySection):
@@ -27,15 +23,3 @@ class DataSection(StudySection):
         None, "texts and numbers that stand for no sample; [] accepts values far beyond all others", ["OL", -9999]
     )
     clocks: kinds.Texts = entry({}, "time columns of columns, { column = time column }, of tables with several")
-
-    @property
-    def in_time(self) -> bool:
-        """True if rows have a time."""
-        return True
-
-    def read_frame(self, table: Path, source: str | None = None) -> pd.DataFrame:
-        """Read a data file before ``[experiments.preprocess]``."""
-        from fmuid.data import read_data
-
-        how = {key: getattr(self, key) for key in ("time_unit", "sample_rate", "sheet", "missing", "clocks")}
-        return read_data(table, self.time if self.in_time else None, **how, source=source or str(table))

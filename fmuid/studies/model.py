@@ -273,6 +273,13 @@ class ExperimentSettings(KindSection, DataSection):
         source = source or str(table)
         return self.experiment(self.read_frame(table, source), source, measured=measured)
 
+    def read_frame(self, table: Path, source: str | None = None) -> pd.DataFrame:
+        """Read a data file before ``[experiments.preprocess]``."""
+        from fmuid.data import read_data
+
+        how = {key: getattr(self, key) for key in ("time_unit", "sample_rate", "sheet", "missing", "clocks")}
+        return read_data(table, self.time if self.in_time else None, **how, source=source or str(table))
+
     def experiment(self, frame: pd.DataFrame, source: str, *, measured: bool = True) -> Experiment:
         """Return the experiment of a frame; outputs that are not `measured` need no column."""
         from fmuid.data import ROW, Experiment, time_name, with_rows

@@ -366,13 +366,13 @@ def writers() -> Mapping[str, tuple[str, Write]]:
 SAID = {
     "shuffled": "'time': row 2 goes back",
     "sums at the end": "'time': 'Mean' in row 121",
-    "times without fractions": "'time': 0 s more than twice",
+    "times without fractions": "'time' repeats 118 of 120 times",
     "no times": "'time' not found (columns: u, i, w)",
     "units and no names": "'time' not found (columns: [s], [V], [A], [rad/s])",
     "numbers alone": "no header",
     "ms, unsaid": "time unit looks wrong",
     "rpm, unsaid": "no column for the output w",
-    "-999 for missing": "3 samples of 'i' are -999",
+    "-999 for missing": "3 samples are -999, far beyond all others",
     "unnamed.mat": "no numeric vectors",
 }
 """Words that `fmuid init` says of the variants that do not lead to the same estimates."""

@@ -45,7 +45,7 @@ def _without_mark(start: bytes) -> str:
 
 
 def _asian(start: bytes) -> Iterator[str]:
-    """Yield encodings whose texts have other runs of high bytes than Western words."""
+    """Yield encodings whose runs of high bytes are no Western words."""
     runs = _HIGH.findall(start)
     longest = max(map(len, runs), default=0)
     high = b"".join(runs)
