@@ -171,7 +171,7 @@ def _overlap(one: Floats, other: Floats) -> bool:
 
 
 def _likely_clock(raw: RawTable, name: str, unit: str | None, usual: str | None, source: str) -> _Clock | None:
-    """Return a column as a time column if name, unit and values say so."""
+    """Return a time column if name, unit and values say so."""
     said, series = raw.units.get(name), raw.frame[name]
     dated = pd.api.types.is_datetime64_any_dtype(series.dtype)
     timed = said is not None and time_unit(said) is not None

@@ -102,7 +102,7 @@ def _possible_intervals(times: Floats, resolution: float) -> tuple[float, float]
 
 
 def _shortest(low: float, high: float) -> float:
-    """Return the interval with the fewest digits between two, or of the rate with the fewest."""
+    """Return the interval between two with the fewest digits, or its rate."""
     middle = abs(low + high) / 2
     for digits in range(1, 17):
         for value in (float(f"{middle:.{digits}g}"), 1 / float(f"{1 / middle:.{digits}g}")):
@@ -118,7 +118,7 @@ def _on_grid(steps: Floats, resolution: float) -> bool:
 
 
 def _are_steps(columns: pd.DataFrame, pairs: Flags) -> bool:
-    """Return whether a column changes otherwise within pairs of one stamp than elsewhere."""
+    """Return whether a column changes otherwise within pairs of one stamp."""
     for _, series in columns.items():
         if not pd.api.types.is_numeric_dtype(series.dtype) or pd.api.types.is_bool_dtype(series.dtype):
             continue

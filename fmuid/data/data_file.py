@@ -134,7 +134,7 @@ def read_data(
 
 
 def _without_marks(column: pd.Series[Any], marks: Sequence[str | float]) -> pd.Series[Any]:
-    """Return a column with NaN for marks of missing samples and SCPI's infinity."""
+    """Return a column with NaN for marks and SCPI's infinity."""
     kind = column.dtype
     if pd.api.types.is_float_dtype(kind) or (marks and pd.api.types.is_integer_dtype(kind)):
         numbers = [each for each in marks if isinstance(each, int | float)]
