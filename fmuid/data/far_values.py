@@ -27,12 +27,14 @@ class FarValueSettings:
 SETTINGS = FarValueSettings()
 
 
+@np.errstate(over="ignore")
 def far_values(values: Floats) -> dict[float, int]:
     """Return values far beyond all others, with their number: repeated marks, and what is 10⁴ times the rest."""
     there = values[np.isfinite(values)]
     if there.size < 3:
         return {}
-    distances = np.abs(there - np.median(there))
+    scaled = there / max(float(np.abs(there).max()), 1e-300)  # sums of huge values overflow
+    distances = np.abs(scaled - np.median(scaled))
     order = np.sort(distances)
     first = max(int((1 - SETTINGS.share) * order.size), 1)
     rest, above = order[first - 1 : -1], order[first:]

@@ -142,7 +142,7 @@ def inputs_at_all_times(
     """
     clocks: Mapping[str, str] = frame.attrs.get(CLOCKS, {})
     own = {column: clocks.get(column, "") for column in (*inputs, *outputs)}
-    if not set(own.values()) & set(frame.columns):
+    if not clocks or not set(own.values()) & set(frame.columns):
         return frame
     times, rows = frame[time].to_numpy(dtype=np.float64), dict[str, Flags]()
     for column, clock in own.items():
@@ -165,7 +165,7 @@ def _between(times: Floats, values: Floats, at: Floats, how: str) -> Floats:
     if how in HELD:
         place = np.searchsorted(times, at, side="right") - (how == "zoh")
         return np.asarray(values[np.clip(place, 0, times.size - 1)])
-    if how == "pchip":
+    if how == "pchip" and times.size > 1:
         from scipy.interpolate import PchipInterpolator
 
         return np.asarray(PchipInterpolator(times, values)(np.clip(at, times[0], times[-1])))
