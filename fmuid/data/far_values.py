@@ -45,8 +45,10 @@ def far_values(values: Floats) -> dict[float, int]:
     marks: dict[float, int] = {}
     for mark in SETTINGS.marks:
         same = there == mark
+        if not same.any():
+            continue
         others = there[~same]
-        if not same.any() or others.size < 2 or same.mean() > SETTINGS.share:
+        if others.size < 2 or same.mean() > SETTINGS.share:
             continue
         size = max(float(np.ptp(others)), 0.1 * float(np.abs(others).max()))
         if np.abs(others - mark).min() > SETTINGS.mark_beyond * size > 0:

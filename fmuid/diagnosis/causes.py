@@ -7,7 +7,7 @@ vector of the plane.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Annotated
@@ -207,34 +207,42 @@ def coordinates_of(
 ) -> ChangeParameterSet:
     """Return the coordinates of a machine; `noise` is the standard deviation of each output's noise."""
     each, found, healthy = list[ChangeParameter](), list[Cause](), list[float]()
-
-    def add(of: ChangeParameter, size: float | None, *, start: float = 0.0, sign: int = 0, plane: bool = False) -> None:
-        """Add one or two coordinates, and their cause if any."""
+    made = [*_of_machine(system, nominal, causes), *_of_faults(faults), *_of_sensors(system, experiment, noise, causes)]
+    for asked in [*made, *_of_inputs(experiment, causes), *_of_lines(experiment, causes)]:
+        of, size = asked.of, asked.size
         if of.kind in (CauseKind.INPUT_GAIN, *LINE_KINDS) and of.quantity in nominal:
-            return  # a parameter of the machine
-        new = [of, replace(of, second=True)] if plane else [of]
+            continue  # a parameter of the machine
+        new = [of, replace(of, second=True)] if asked.plane else [of]
         if size is not None:
             columns = tuple(range(len(each), len(each) + len(new)))
-            found.append(
-                Cause(
-                    of.name,
-                    columns,
-                    size,
-                    sign,
-                    SETTINGS.probability,
-                    of.kind is CauseKind.FAULT,
-                    of.kind in ERROR_KINDS,
-                )
-            )
+            is_fault, is_error = of.kind is CauseKind.FAULT, of.kind in ERROR_KINDS
+            found.append(Cause(of.name, columns, size, asked.sign, SETTINGS.probability, is_fault, is_error))
         each.extend(new)
-        healthy.extend([start] * len(new))
+        healthy.extend([asked.start] * len(new))
+    return ChangeParameterSet(tuple(each), tuple(found), np.array(healthy), faults)
 
+
+@dataclass(frozen=True)
+class _Coordinate:
+    """One coordinate, or two of a plane, and its cause's size."""
+
+    of: ChangeParameter
+    size: float | None
+    start: float = 0.0
+    sign: int = 0
+    plane: bool = False
+
+
+def _of_machine(system: System, nominal: Mapping[str, Parameter], causes: Causes) -> Iterator[_Coordinate]:
     drift = causes.parameter_drift
     for name, parameter in nominal.items():
         magnitude, unit = parameter.nominal or abs(parameter.start) or 1.0, system.unit(name) or ""
         step, normal = SETTINGS.difference_step * magnitude, SETTINGS.open * magnitude
         of = ChangeParameter(CauseKind.PARAMETER, name, unit, step, normal)
-        add(of, None if drift is None else drift.change_std * magnitude, start=parameter.start)
+        yield _Coordinate(of, None if drift is None else drift.change_std * magnitude, parameter.start)
+
+
+def _of_faults(faults: Mapping[str, Fault]) -> Iterator[_Coordinate]:
     for name, fault in faults.items():
         own = System.of(fault.model)
         for size in fault.sizes:
@@ -243,7 +251,12 @@ def coordinates_of(
             step, normal = SETTINGS.difference_step * magnitude, SETTINGS.sound_share * magnitude
             of = ChangeParameter(CauseKind.FAULT, size, own.unit(size) or "", step, normal, name)
             sign = 0 if plane else 1 if parameter.min == 0.0 else -1 if parameter.max == 0.0 else 0
-            add(of, magnitude, sign=sign, plane=plane)
+            yield _Coordinate(of, magnitude, sign=sign, plane=plane)
+
+
+def _of_sensors(
+    system: System, experiment: Experiment, noise: Mapping[str, float], causes: Causes
+) -> Iterator[_Coordinate]:
     step = float(np.median(np.diff(experiment.times))) or 1.0
     for output in experiment.output_names:
         unit = system.unit(output) or "" if "+" not in output else ""
@@ -254,29 +267,40 @@ def coordinates_of(
         ):
             if width is not None:
                 of = ChangeParameter(kind, output, its_unit, math.nan, width.healthy_std * scale)
-                add(of, width.change_std * scale)
-    made = experiment.sensor_map
+                yield _Coordinate(of, width.change_std * scale)
+
+
+def _of_inputs(experiment: Experiment, causes: Causes) -> Iterator[_Coordinate]:
+    """Yield gains of inputs; of a sensor map, those of its voltage columns."""
+    made, width = experiment.sensor_map, causes.input_gain
     driven = dict(zip(experiment.input_names, experiment.input_values.T, strict=True))
     if made is not None:
         driven = {name: values for name, values in driven.items() if name not in made.given.voltages}
         driven |= dict(zip(made.given.voltage_columns, made.voltages.T, strict=False))
-    if causes.input_gain is not None:
-        for name in (name for name, values in driven.items() if values.any()):
-            width = causes.input_gain
+    for name, values in driven.items() if width is not None else ():
+        assert width is not None, "asked before"
+        if values.any():
             of = ChangeParameter(CauseKind.INPUT_GAIN, name, "", SETTINGS.difference_step, width.healthy_std)
-            add(of, width.change_std)
-    if made is not None and made.given.voltages:
-        voltage = float(np.sqrt(np.mean(made.voltages**2)))
-        sensors = list(made.given.current_sensors)
-        read = experiment.output_values[:, [experiment.output_names.index(name) for name in sensors]]
-        current = float(np.sqrt(np.mean(read[np.isfinite(read)] ** 2))) if np.isfinite(read).any() else 0.0
-        # without a current, no joint has a usual size
-        for kind, lines, scale, unit, given in (
-            (CauseKind.JOINT, LINES if current else (), voltage / (current or 1.0), "Ohm", causes.joint),
-            (CauseKind.DEAD_TIME, ("",), voltage, "V", causes.dead_time),
-        ):
-            for name in lines if given is not None else ():
-                assert given is not None, "asked before"
-                step = SETTINGS.difference_step * scale
-                add(ChangeParameter(kind, name, unit, step, given.healthy_std * scale), given.change_std * scale)
-    return ChangeParameterSet(tuple(each), tuple(found), np.array(healthy), faults)
+            yield _Coordinate(of, width.change_std)
+
+
+def _of_lines(experiment: Experiment, causes: Causes) -> Iterator[_Coordinate]:
+    """Yield joints and dead time of a sensor map with voltages."""
+    made = experiment.sensor_map
+    if made is None or not made.given.voltages:
+        return
+    voltage = float(np.sqrt(np.mean(made.voltages**2)))
+    sensors = list(made.given.current_sensors)
+    read = experiment.output_values[:, [experiment.output_names.index(name) for name in sensors]]
+    current = float(np.sqrt(np.mean(read[np.isfinite(read)] ** 2))) if np.isfinite(read).any() else 0.0
+    # without a current, no joint has a usual size
+    for kind, lines, scale, unit, given in (
+        (CauseKind.JOINT, LINES if current else (), voltage / (current or 1.0), "Ohm", causes.joint),
+        (CauseKind.DEAD_TIME, ("",), voltage, "V", causes.dead_time),
+    ):
+        for name in lines if given is not None else ():
+            assert given is not None, "asked before"
+            step = SETTINGS.difference_step * scale
+            yield _Coordinate(
+                ChangeParameter(kind, name, unit, step, given.healthy_std * scale), given.change_std * scale
+            )

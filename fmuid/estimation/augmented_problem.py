@@ -6,6 +6,7 @@ The Gauss-Newton step of [J D] with prior rows, and its covariance under the noi
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -40,7 +41,7 @@ class AugmentedProblem:
     root: Floats
     levels: Floats
 
-    @property
+    @cached_property
     def step(self) -> Floats:
         """Change of the parameters, then sizes of the columns (N + m,)."""
         return self.root @ (self.root.T @ (np.vstack([self.design, self.prior]).T @ self.target))

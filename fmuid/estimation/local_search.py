@@ -273,10 +273,8 @@ class _Identification:
         if len(jacobian) > data:
             alone = self._covariance(final, whole, jacobian[:data], None if spread is None else spread[:data])
         rows = residual[:data], jacobian[:data], residual[data:], jacobian[data:]
-        levels, magnitudes = (
-            np.sqrt(final.variance)[self.problem.groups],
-            self.problem.parameters.magnitudes(state.theta),
-        )
+        levels = np.sqrt(final.variance)[self.problem.groups]
+        magnitudes = self.problem.parameters.magnitudes(state.theta)
         return LinearizedProblem(*rows, levels, magnitudes, alone, combined)
 
     def _weighed(self, loss: Loss, residual: Floats, jacobian: Floats) -> tuple[Floats, Floats, Floats]:

@@ -60,9 +60,7 @@ def include_delay(evaluator: Evaluator[LeastSquares], result: Result) -> Result:
     delays = _delays(problem)
     if local is None or not result.converged or problem.loss is not None or result.estimates.at_bounds:
         return result
-    if not any(delays) or not np.isfinite(result.std).all():
-        return result
-    if not result.fit.is_noisy:
+    if not any(delays) or not np.isfinite(result.std).all() or not result.fit.is_noisy:
         return result
     evaluator = evaluator.finer(problem.refinement) if not result.chosen else evaluator.of(problem)
     limits, before, levels = problem.parameters, evaluator.simulations, local.levels
@@ -158,9 +156,9 @@ class DelayedNoise:
 
 def _delays(problem: LeastSquares) -> list[float]:
     """Return σ of the delay in each experiment, samples."""
-    timed = [each.kind == "time" and bool(each.input_names) for each in problem.experiments]
     return [
-        problem.noise.delay_in(each.name) if own else 0.0 for each, own in zip(problem.experiments, timed, strict=True)
+        problem.noise.delay_in(each.name) if each.kind == "time" and each.input_names else 0.0
+        for each in problem.experiments
     ]
 
 
@@ -184,9 +182,9 @@ class DelayedPredictor:
 
 def with_delay(problem: LeastSquares, result: Result) -> tuple[LeastSquares, Result]:
     """Return problem and result with an included delay as parameters."""
-    if result.fit.delay is None:
-        return problem, result
     base = problem.as_in(result)
+    if result.fit.delay is None:
+        return base, result
     made = [DelayedPredictor(*each) for each in zip(base.predictors, base.experiments, _delays(base), strict=True)]
     size = Parameter(0.0, nominal=HALF, min=-SETTINGS.box * HALF, max=SETTINGS.box * HALF, prior=Normal(0.0, HALF))
     given = {**base.given_parameters, **dict.fromkeys(SIZES, size)}
@@ -206,7 +204,7 @@ def delayed(problem: LeastSquares, result: Result) -> tuple[Evaluator[LeastSquar
                 f"the result is of another problem: its {what} are {', '.join(has)}, not {', '.join(needs)}. "
                 "Give a result of this problem."
             )
-    problem, result = with_delay(problem.as_in(result), result)
+    problem, result = with_delay(problem, result)
     return Evaluator(problem), result
 
 

@@ -138,12 +138,10 @@ def without_clipped(problem: AnyProblem, result: Result) -> tuple[AnyProblem, tu
         frame = experiment.frame
         for j, output in enumerate(experiment.output_names):
             values, own, counted = experiment.output_values[:, j], simulated[:, j], experiment.counted[:, j]
-            if counted.sum() < SETTINGS.least_samples:
+            if experiment.kind != "time" or counted.sum() < SETTINGS.least_samples:
                 continue
-            near, gone = (
-                SETTINGS.near_limit * math.sqrt(result.fit.noise_variance[output]),
-                np.zeros(len(own), np.bool_),
-            )
+            near = SETTINGS.near_limit * math.sqrt(result.fit.noise_variance[output])
+            gone = np.zeros(len(own), np.bool_)
             for limit, sign in clipped_ends(values[counted], own[counted]):
                 beyond = (sign * (own - limit) > -near) & counted
                 gone |= beyond

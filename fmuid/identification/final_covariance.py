@@ -15,9 +15,9 @@ def with_covariance(result: Result, covariance: Floats, white: Floats, freedom: 
 
     `white` (N, N) is the covariance under white noise, `freedom` (N,) that of the variances.
     """
-    check = result.accuracy
+    check, before = result.accuracy, std_without_shift(result)
     found = replace(result.estimates, covariance=covariance, covariance_white_noise=white, variance_dof=freedom)
-    result, before = replace(result, estimates=found), std_without_shift(result)
+    result = replace(result, estimates=found)
     if check is None:
         return result
     check = replace(check, shift=check.shift * before / np.sqrt(np.diag(covariance)))
@@ -45,5 +45,7 @@ def include_uneven_noise(problem: LeastSquares, result: Result) -> Result:
     if problem.loss is not None or noise is None or uneven_levels(noise.models, local.residual, simulated) is None:
         return result
     found = sandwich_of(problem, local, np.zeros(problem.counts.size, dtype=np.bool_), uneven=True)
-    fit, white = replace(result.fit, noise=found.noise), result.estimates.covariance_white_noise
-    return with_covariance(replace(result, fit=fit), found.covariance, white, found.freedom)
+    white = local.root @ local.root.T  # without the solver error, which is added again
+    return with_covariance(
+        replace(result, fit=replace(result.fit, noise=found.noise)), found.covariance, white, found.freedom
+    )

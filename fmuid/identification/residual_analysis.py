@@ -235,11 +235,8 @@ def analyze_residuals(problem: LeastSquares, result: Result) -> ResidualAnalysis
     series: list[ResidualSeries] = []
     columns = local.jacobian @ local.root
     taken = FitProjection(columns, columns.T @ columns)
-    scale = (
-        noise.levels
-        if problem.levels.scale is None
-        else problem.levels.scale * (noise.levels if noise.levels is not None else 1.0)
-    )
+    scales = [each for each in (problem.levels.scale, noise.levels) if each is not None]
+    scale = np.prod(scales, axis=0) if scales else None
     for experiment, fit in zip(problem.experiments, result.fit.frames, strict=True):
         simulated = fit[[f"simulated.{output}" for output in experiment.output_names]].to_numpy(np.float64)
         models = [each for each in noise.models if each.series.experiment == experiment.name]

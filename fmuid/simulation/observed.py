@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fmuid.array_types import Floats, Indices
 from fmuid.data import Experiment, SensorMap
@@ -23,6 +24,16 @@ class Simulations:
     outputs: Floats
     """(m, K, n_outputs) in units of the data file; NaN after a failure."""
     errors: tuple[SimulationError | None, ...]
+
+    @classmethod
+    def of(cls, many: Callable[[Floats], Simulations], theta: ArrayLike) -> Floats:
+        """Return the outputs of one theta (N,), (K, n_outputs), or of several; raise the first error."""
+        thetas = np.asarray(theta, dtype=np.float64)
+        found = many(np.atleast_2d(thetas))
+        for error in found.errors:
+            if error is not None:
+                raise error
+        return found.outputs[0] if thetas.ndim < 2 else found.outputs
 
 
 @dataclass(frozen=True)

@@ -63,12 +63,7 @@ class PointSimulator(ABC):
 
     def __call__(self, theta: ArrayLike) -> Floats:
         """Compute one theta (N,) or several (m, N); return (K, n_outputs) or (m, K, n_outputs)."""
-        thetas = np.asarray(theta, dtype=np.float64)
-        found = self.many(np.atleast_2d(thetas))
-        for error in found.errors:
-            if error is not None:
-                raise error
-        return found.outputs[0] if thetas.ndim < 2 else found.outputs
+        return Simulations.of(self.many, theta)
 
     def many(self, thetas: ArrayLike) -> Simulations:
         """Compute several finite thetas (m, N); failures do not end the others."""

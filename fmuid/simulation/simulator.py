@@ -167,12 +167,7 @@ class Simulator:
         SimulationError
             If a simulation fails.
         """
-        thetas = np.asarray(theta, dtype=np.float64)
-        found = self.many(np.atleast_2d(thetas))
-        for error in found.errors:
-            if error is not None:
-                raise error
-        return found.outputs[0] if thetas.ndim < 2 else found.outputs
+        return Simulations.of(self.many, theta)
 
     def many(self, thetas: ArrayLike) -> Simulations:
         """Simulate several finite thetas (m, N); failures do not end the others."""

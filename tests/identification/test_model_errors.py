@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
@@ -15,10 +18,12 @@ from scipy.special import ndtr
 import fmuid
 from fmuid import codec
 from fmuid.array_types import Floats
-from fmuid.estimation import Grade, Reason, Result
+from fmuid.data import SteadyExperiment
+from fmuid.estimation import AccuracyOutcome, Evaluator, Grade, LeastSquares, Reason, Result, with_shift
 from fmuid.identification import Assessment, ErrorKind, ModelErrors, Problem, assess, find_model_errors, judge, refit
-from fmuid.identification.data_defects import DefectKind, converter_step, find_data_defects
+from fmuid.identification.data_defects import DefectKind, converter_step, find_data_defects, without_clipped
 from fmuid.identification.directed_tests import largest_scores, probability_of
+from fmuid.identification.final_covariance import include_uneven_noise
 from fmuid.identification.linearized_record import LinearizedRecord, exponentials
 from fmuid.simulation import Simulator
 from tests.support.held_coil import COIL, COUNT, STEP, TIMES, L, R, closed, held_voltage, problem_of
@@ -365,6 +370,33 @@ def test_uneven_noise_has_its_own_covariance() -> None:
     expected = local.root @ (share * true[:, None] ** 2).T @ share @ local.root.T
     assert result.std == pytest.approx(np.sqrt(np.diag(expected)), rel=0.15)
     assert (np.abs(np.sqrt(np.diag(expected)) / np.linalg.norm(local.root, axis=1) - 1.0) > 0.1).any()
+
+
+def test_a_solver_error_is_added_once_to_uneven_noise() -> None:
+    problem, result = damaged("uneven")
+    searched = fmuid.Marquardt().search(Evaluator(problem))
+    check = result.accuracy
+    assert check is not None
+    shift = np.array([0.5, 2.0])
+    shifted = with_shift(searched, replace(check, outcome=AccuracyOutcome.SHIFTED, shift=shift))
+    found = include_uneven_noise(
+        problem, replace(shifted, accuracy=replace(check, outcome=AccuracyOutcome.SHIFTED, shift=shift))
+    )
+    moved, plain = shift * searched.std, include_uneven_noise(problem, searched)
+    for wide, narrow in ((found.std, plain.std), (found.estimates.std_white_noise, searched.estimates.std_white_noise)):
+        assert wide**2 == pytest.approx(narrow**2 + moved**2, rel=1e-6)
+
+
+@pytest.mark.parametrize("kind", [fmuid.Experiment, SteadyExperiment])
+def test_rows_without_a_time_are_not_clipped(kind: type[fmuid.Experiment]) -> None:
+    """Load points repeat their largest value; samples of a sensor do not."""
+    u = np.linspace(0.0, 1.0, 60)
+    frame = pd.DataFrame({"time": u, "u": u, "i": np.minimum(u, 0.8)})
+    experiment = kind(frame, ["u"], ["i"])
+    problem = LeastSquares([], [experiment], {"R": fmuid.Parameter(1.0)})
+    fit = SimpleNamespace(simulated=(u[:, None],), noise_variance={"i": 1e-4})
+    found = without_clipped(problem, SimpleNamespace(fit=fit))  # type: ignore[arg-type]
+    assert (found is None) == (kind is SteadyExperiment)
 
 
 def test_clipped_stretches_do_not_count(tmp_path: Path) -> None:
