@@ -170,6 +170,10 @@ class LeastSquares:
         """Return the directions of model errors at a result; functions have none."""
         return ()
 
+    def process_noise(self, result: Any) -> Any:  # noqa: ARG002 - systems have
+        """Return the process noise of a result; functions have none."""
+        return None
+
     def measuring(self, experiments: Sequence[Experiment], parameters: Mapping[str, Parameter] | None = None) -> Self:
         """Return this problem with other measured values, and other initial guesses."""
         other = copy.copy(self)

@@ -220,7 +220,8 @@ def find_model_errors(problem: LeastSquares, result: Result) -> ModelErrors | No
         errors.append(ModelError(strongest, tuple(alternatives)))
         known.append(j)
         found = score_directions(rows, known)
-    return ModelErrors(result.names, tuple(first), tuple(errors))
+    noise = problem.process_noise(result) if rows.is_colored else None
+    return ModelErrors(result.names, tuple(first), tuple(errors), process_noise=noise)
 
 
 def _is_alternative(test: DirectedTest, strongest: DirectedTest) -> bool:

@@ -51,6 +51,25 @@ class Forcing:
     initial: Floats | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class StateSpace:
+    """Steps of a linearized record: x⁺ = E x + G g, y = C x.
+
+    Attributes
+    ----------
+    transition : (n_x, n_x) array
+        E.
+    by_rate : (n_x, n_x) array
+        G: change of the states by rates held for a step, s.
+    observed : (n_y, n_x) array
+        C.
+    """
+
+    transition: Floats
+    by_rate: Floats
+    observed: Floats
+
+
 class LinearizedRecord:
     """A simulated experiment with its derivatives by states, parameters and inputs.
 
@@ -131,6 +150,12 @@ class LinearizedRecord:
             matrices, h = matrices[:1], h[:1]
         e, one, two = exponentials(matrices)
         return e, h * one, h * two
+
+    @property
+    def state_space(self) -> StateSpace:
+        """Mean matrices of its steps."""
+        transition, by_rate = (each.mean(axis=0) for each in self._steps[:2])
+        return StateSpace(transition, by_rate, self.observed.mean(axis=0))
 
     def response(self, forcings: list[Forcing]) -> Floats:
         """Return the change of the outputs (m, K, n_y) by each forcing."""

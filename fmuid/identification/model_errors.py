@@ -179,6 +179,22 @@ class ModelError:
         return frozenset(each.kind for each in (self.test.direction, *self.alternatives))
 
 
+@dataclass(frozen=True)
+class ProcessNoise:
+    """Disturbance that explains colored residuals.
+
+    Attributes
+    ----------
+    states : tuple of str
+        The disturbed state; further ones explain the residuals as well.
+    share : float
+        Of the residuals' variance.
+    """
+
+    states: tuple[str, ...]
+    share: float
+
+
 @dataclass(frozen=True, eq=False)
 class ModelErrors:
     """Directed tests of a result.
@@ -195,6 +211,8 @@ class ModelErrors:
         False-alarm rate of all tests together.
     freed : tuple of ModelError
         Errors that are parameters of the result; the tests are beside them.
+    process_noise : ProcessNoise or None
+        Disturbance that explains the color of the residuals.
     """
 
     names: tuple[str, ...]
@@ -202,6 +220,7 @@ class ModelErrors:
     errors: tuple[ModelError, ...] = ()
     level: float = LEVEL
     freed: tuple[ModelError, ...] = ()
+    process_noise: ProcessNoise | None = None
 
     @property
     def exposures(self) -> tuple[DirectedTest, ...]:

@@ -15,7 +15,7 @@ from fmuid.data import Experiment, JointPrior, Noise, Observation, Parameter, Pa
 from fmuid.errors import InputError, check_kind
 from fmuid.estimation import SENSITIVITIES, LeastSquares, Result, RunFields, UsedModel
 from fmuid.formatting import nearest
-from fmuid.identification.model_errors import Direction
+from fmuid.identification.model_errors import Direction, ProcessNoise
 from fmuid.models import FMU, System
 from fmuid.simulation import (
     AS_ASKED,
@@ -231,6 +231,13 @@ class Problem(LeastSquares):
 
         own = self.as_in(result)
         return () if self.corrected else model_directions(own, own.simulators, result)
+
+    def process_noise(self, result: Result) -> ProcessNoise | None:
+        """Return the disturbance that explains the color of a result's residuals."""
+        from fmuid.identification.process_noise import process_noise_of
+
+        own = self.as_in(result)
+        return None if self.corrected else process_noise_of(own, own.simulators, result)
 
     @property
     def made_with(self) -> ModelReference:

@@ -21,7 +21,15 @@ from fmuid.events import Progress
 from fmuid.identification.acquisition_delay import include_delay
 from fmuid.identification.data_defects import DataDefect
 from fmuid.identification.directed_tests import find_model_errors, whitened
-from fmuid.identification.model_errors import DELAYS, DirectedTest, Direction, ErrorKind, ModelError, ModelErrors
+from fmuid.identification.model_errors import (
+    DELAYS,
+    DirectedTest,
+    Direction,
+    ErrorKind,
+    ModelError,
+    ModelErrors,
+    ProcessNoise,
+)
 
 
 @dataclass(frozen=True)
@@ -97,6 +105,12 @@ class CorrectedProblem(LeastSquares):
         found = base.directions(without_sizes(result, len(base.parameters)))
         return tuple(each for each in found if each.key not in taken)
 
+    def process_noise(self, result: Result) -> ProcessNoise | None:
+        """Return the process noise beside the errors freed."""
+        base: LeastSquares = vars(self)["base"]
+        noise: ProcessNoise | None = base.process_noise(without_sizes(result, len(base.parameters)))
+        return noise
+
 
 def without_sizes(result: Result, count: int) -> Result:
     """Return a result with its first parameters alone: the others are sizes of errors."""
@@ -162,7 +176,7 @@ def refit(problem: LeastSquares, result: Result, found: ModelErrors, progress: P
     freed[-1] = replace(freed[-1], alternatives=alternatives)
     tests = tuple(_of_model(each, count) for each in now.tests)
     rest = tuple(replace(each, test=_of_model(each.test, count)) for each in now.errors)
-    return Refit(corrected, again, ModelErrors(result.names, tests, rest, freed=tuple(freed)))
+    return Refit(corrected, again, replace(now, names=result.names, tests=tests, errors=rest, freed=tuple(freed)))
 
 
 def _tested(fitted: Fitted, before: ModelErrors) -> ModelErrors:

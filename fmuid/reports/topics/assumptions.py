@@ -78,6 +78,10 @@ class HidingMessage(Message, section="hiding"):
     SHIFT = doubt("{error}: {name} moves by {shift} σ (p = {probability}).", "a directed test names this model error")
     FREED = plain("Freed in this result: {error}.", "the size is a parameter of the fit; intervals include it")
     ALTERNATIVES = plain("The data cannot tell it from: {alternatives}.", "these errors explain the residual as well")
+    PROCESS_NOISE = plain(
+        "Noise looks like a disturbance of {states} ({share} of its variance).",
+        "such as a load or voltage that is no input: σ allows for its color",
+    )
     NONE = plain(
         "No model error found in {count} directions (level {level}).",
         "directed tests of sensors, clocks, inputs, parameters and states",
@@ -171,6 +175,9 @@ def model_error_remarks(found: ModelErrors | None) -> list[Remark]:
         said.append(HidingMessage.SHIFT.said(**values, probability=f"{each.test.probability:.1g}"))
         if each.alternatives:
             said.append(HidingMessage.ALTERNATIVES.said(alternatives=listed([*map(error_names, each.alternatives)])))
+    if (noise := found.process_noise) is not None:
+        values = {"states": " or ".join(noise.states), "share": f"{100 * noise.share:.0f} %"}
+        said.append(HidingMessage.PROCESS_NOISE.said(**values))
     if not found.errors:
         tested = sum(each.is_testable for each in found.tests)
         said.append(HidingMessage.NONE.said(count=tested, level=f"{100 * found.level:g} %"))
