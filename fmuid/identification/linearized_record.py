@@ -52,7 +52,7 @@ class Forcing:
 
 
 @dataclass(frozen=True, eq=False)
-class StateSpace:
+class DiscreteStateSpace:
     """Steps of a linearized record: x⁺ = E x + G g, y = C x.
 
     Attributes
@@ -152,10 +152,10 @@ class LinearizedRecord:
         return e, h * one, h * two
 
     @property
-    def state_space(self) -> StateSpace:
+    def state_space(self) -> DiscreteStateSpace:
         """Mean matrices of its steps."""
         transition, by_rate = (each.mean(axis=0) for each in self._steps[:2])
-        return StateSpace(transition, by_rate, self.observed.mean(axis=0))
+        return DiscreteStateSpace(transition, by_rate, self.observed.mean(axis=0))
 
     def response(self, forcings: list[Forcing]) -> Floats:
         """Return the change of the outputs (m, K, n_y) by each forcing."""

@@ -14,7 +14,7 @@ import scipy
 
 from fmuid.array_types import Floats
 from fmuid.estimation import LeastSquares, Result
-from fmuid.identification.linearized_record import LinearizedRecord, StateSpace
+from fmuid.identification.linearized_record import DiscreteStateSpace, LinearizedRecord
 from fmuid.identification.model_errors import ProcessNoise
 from fmuid.simulation import AnySimulator, Simulator
 
@@ -34,7 +34,7 @@ class ProcessNoiseSettings:
 SETTINGS = ProcessNoiseSettings()
 
 
-def _observable(space: StateSpace, spread: Floats) -> tuple[StateSpace, Floats]:
+def _observable(space: DiscreteStateSpace, spread: Floats) -> tuple[DiscreteStateSpace, Floats]:
     """Return the states that outputs show, and mean squares of outputs.
 
     Outputs are in units of their spread (n_y,); squares (n_x,) are those after unit rates.
@@ -50,10 +50,10 @@ def _observable(space: StateSpace, spread: Floats) -> tuple[StateSpace, Floats]:
     sizes, vectors = np.linalg.eigh(gramian)
     seen = vectors[:, sizes > SETTINGS.least_seen * sizes.max()]
     squares = np.einsum("ij,ik,kj->j", space.by_rate, gramian, space.by_rate) / len(c)
-    return StateSpace(seen.T @ e @ seen, seen.T @ space.by_rate, c @ seen), squares
+    return DiscreteStateSpace(seen.T @ e @ seen, seen.T @ space.by_rate, c @ seen), squares
 
 
-def _gains(space: StateSpace, state: int, square: float) -> Iterator[Floats]:
+def _gains(space: DiscreteStateSpace, state: int, square: float) -> Iterator[Floats]:
     """Yield the Kalman gain (n_x, n_y) of each ratio."""
     e, c, g = space.transition, space.observed, space.by_rate[:, state]
     for ratio in SETTINGS.ratios:
@@ -85,14 +85,14 @@ def process_noise_of(problem: LeastSquares, simulators: Sequence[AnySimulator], 
 
 
 def find_process_noise(
-    states: Sequence[str], spaces: Sequence[StateSpace], residuals: Sequence[Floats]
+    states: Sequence[str], spaces: Sequence[DiscreteStateSpace], residuals: Sequence[Floats]
 ) -> ProcessNoise | None:
     """Return the disturbance that explains residuals better than autoregressions; None without one.
 
     Parameters
     ----------
     states : sequence of str
-    spaces : sequence of StateSpace
+    spaces : sequence of DiscreteStateSpace
         Of each experiment.
     residuals : sequence of (K, n_y) array
         Of each experiment; NaN where a sample does not count.
@@ -121,7 +121,7 @@ def find_process_noise(
     return ProcessNoise(names, likely[0][2] / (1.0 + likely[0][2]))
 
 
-def _innovations(space: StateSpace, gains: Floats, rows: Floats) -> Floats:
+def _innovations(space: DiscreteStateSpace, gains: Floats, rows: Floats) -> Floats:
     """Return the innovations (m, K, n_y) of gains (m, n_x, n_y)."""
     c = space.observed
     closed, driven = space.transition - gains @ c, np.moveaxis(gains @ rows.T, 2, 0)

@@ -12,7 +12,7 @@ from scipy.linalg import expm
 import fmuid
 from fmuid.array_types import Floats
 from fmuid.identification import find_model_errors
-from fmuid.identification.linearized_record import StateSpace
+from fmuid.identification.linearized_record import DiscreteStateSpace
 from fmuid.identification.model_errors import ProcessNoise
 from fmuid.identification.process_noise import find_process_noise
 from fmuid.reports.topics.assumptions import model_error_remarks
@@ -63,7 +63,7 @@ def test_a_disturbed_voltage_disturbs_the_current() -> None:
     assert any(each.startswith("Noise looks like a disturbance of i (") for each in told)
 
 
-def drive(seed: int, state: int, seen: Sequence[int]) -> tuple[StateSpace, Floats]:
+def drive(seed: int, state: int, seen: Sequence[int]) -> tuple[DiscreteStateSpace, Floats]:
     """Return steps of a drive, and outputs under a disturbance of one state, with noise of the sensors."""
     rng, e = np.random.default_rng([72, seed]), expm(DRIVE * STEP)
     by_rate = expm(np.block([[DRIVE, np.eye(3)], [np.zeros((3, 6))]]) * STEP)[:3, 3:]
@@ -71,7 +71,7 @@ def drive(seed: int, state: int, seen: Sequence[int]) -> tuple[StateSpace, Float
     for k in range(1999):
         x[k + 1] = e @ x[k] + by_rate[:, state] * rng.standard_normal()
     y = x[:, list(seen)]
-    return StateSpace(e, by_rate, np.eye(3)[list(seen)]), y + 0.5 * y.std(axis=0) * rng.standard_normal(y.shape)
+    return DiscreteStateSpace(e, by_rate, np.eye(3)[list(seen)]), y + 0.5 * y.std(axis=0) * rng.standard_normal(y.shape)
 
 
 @pytest.mark.parametrize("state", [1, 2])
@@ -93,7 +93,7 @@ def test_samples_that_do_not_count_are_left_out() -> None:
 
 
 def test_an_unstable_model_has_no_stationary_disturbance() -> None:
-    space = StateSpace(np.array([[1.5]]), np.eye(1), np.eye(1))
+    space = DiscreteStateSpace(np.array([[1.5]]), np.eye(1), np.eye(1))
     residual = colored(np.random.default_rng(1), 500, 0.6)[:, None]
     assert find_process_noise(["x"], [space], [residual]) is None
 
