@@ -31,6 +31,8 @@ data = "first.csv"
 inputs = ["u"]
 outputs = ["y"]
 interpolation = "zoh"
+[estimation]
+model_error = "report"
 [parameters]
 k = {{ start = 0.04, min = 1e-4 }}
 u0 = {{ start = 0.5, nominal = 1.0, min = 0.0 }}

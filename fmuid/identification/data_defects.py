@@ -25,6 +25,7 @@ class DataDefectSettings:
     most_levels: float = 0.5  # of the samples: with more different values there is no step
     near_limit: float = 3.0  # residual stds: samples of a model so near a clipped end do not count
     clipped_samples: int = 5  # at the end of the range; with steps only where the model goes beyond it
+    same: float = 1e-6  # of the range: a simulated sample at the end
     repeated: float = 0.1  # of the samples that repeat the one before, without a step
     least_samples: int = 50
 
@@ -117,10 +118,12 @@ def converter_step(values: Floats) -> float:
 
 
 def clipped_ends(measured: Floats, simulated: Floats) -> list[tuple[float, float]]:
-    """Return clipped ends of the range, and their signs, of samples (n,)."""
+    """Return clipped ends of the range, and their signs, of samples (n,); not those that the model has, too."""
     step, found = converter_step(measured), []
     for limit, sign in ((float(measured.max()), 1.0), (float(measured.min()), -1.0)):
         at = measured == limit
+        if np.isclose(simulated, limit, rtol=0.0, atol=SETTINGS.same * np.ptp(measured)).sum() >= at.sum() // 2:
+            continue
         # without steps no two samples are alike by chance
         beyond = not step or sign * float((simulated[at] - limit).mean()) > 0.5 * step
         if at.sum() >= SETTINGS.clipped_samples and beyond:

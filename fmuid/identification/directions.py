@@ -103,7 +103,8 @@ def _columns(
     if record is None or not _agrees(simulator.seen(record.sensitivities, theta)[simulator.own], slopes[simulator.own]):
         return
     yield from _delays(record, simulator, theta)
-    forced = list(_of_inputs(record, units) if simulator.observed is None else _of_lines(record, simulator, units))
+    plain = simulator.observed is None
+    forced = list(_of_inputs(record, simulated, units) if plain else _of_lines(record, simulator, simulated, units))
     forced += _of_parameters(record, simulator, units)
     forced += _of_initial_states(record, simulator, experiments)
     tables = simulator.seen(record.response([each[1] for each in forced]), theta)
@@ -176,7 +177,9 @@ def _sum_of(parts: Sequence[Forcing]) -> Forcing:
     return Forcing(rates, outputs)
 
 
-def _of_inputs(record: LinearizedRecord, units: Mapping[str, str]) -> Iterator[tuple[_Column, Forcing]]:
+def _of_inputs(
+    record: LinearizedRecord, simulated: Floats, units: Mapping[str, str]
+) -> Iterator[tuple[_Column, Forcing]]:
     """Yield errors of the inputs; interpolation also of all that are held, or are not."""
     experiment, alike = record.experiment, dict[bool, dict[str, Forcing]]()
     for j, name in enumerate(experiment.input_names):
@@ -198,21 +201,24 @@ def _of_inputs(record: LinearizedRecord, units: Mapping[str, str]) -> Iterator[t
     for parts in alike.values():
         if len(parts) > 1:
             yield _made(ErrorKind.INTERPOLATION, tuple(parts), "", 1.0, True), _sum_of(list(parts.values()))
-    yield from _dead_times(record, units)
+    yield from _dead_times(record, simulated, units)
 
 
 def _of_lines(
-    record: LinearizedRecord, simulator: Simulator, units: Mapping[str, str]
+    record: LinearizedRecord, simulator: Simulator, simulated: Floats, units: Mapping[str, str]
 ) -> Iterator[tuple[_Column, Forcing]]:
     """Yield errors of line voltages, and of the inputs that are none."""
     observed = simulator.observed
     assert observed is not None, "an observation was asked for"
     experiment, voltages = record.experiment, set(observed.map.given.voltages)
-    for made, forcing in _of_inputs(record, units):
+    currents = observed.currents_behind(simulated, observed.quantities(record.theta[None])[0])
+    if not np.isfinite(currents).all():
+        currents = observed.currents(record.outputs)
+    for made, forcing in _of_inputs(record, record.outputs, units):
         if made.kind is ErrorKind.INTERPOLATION or not voltages & set(made.subject):
             yield made, forcing
     places = [experiment.input_names.index(name) for name in observed.map.given.voltages]
-    for each in line_errors(observed.map, observed.currents(record.outputs)):
+    for each in line_errors(observed.map, currents):
         changes = both_ends(each.change)
         if observed.map.held:
             changes[1::2] = changes[::2]
@@ -234,19 +240,21 @@ def _input_delays(record: LinearizedRecord, column: int, rise: Floats) -> Iterat
     yield _made(ErrorKind.INPUT_ADVANCE, subject, "samples", SETTINGS.delay, True), Forcing(none, end=early)
 
 
-def _dead_times(record: LinearizedRecord, units: Mapping[str, str]) -> Iterator[tuple[_Column, Forcing]]:
-    """Yield dead times of inputs, alone and along their common vector."""
-    experiment, pairs = record.experiment, driven_outputs(record)
+def _dead_times(
+    record: LinearizedRecord, simulated: Floats, units: Mapping[str, str]
+) -> Iterator[tuple[_Column, Forcing]]:
+    """Yield dead times of inputs, alone and along their common vector; a refit has corrected the outputs."""
+    experiment, pairs, ends = record.experiment, driven_outputs(record), both_ends(simulated)
     for j, k in pairs.items():
         name, output = experiment.input_names[j], experiment.output_names[k]
-        sign = -signs(record.ends[:, [k]])[:, 0]
+        sign = -signs(ends[:, [k]])[:, 0]
         usual = SETTINGS.share * _rms(experiment.input_values[:, j])
         yield _made(ErrorKind.DEAD_TIME, (name, output), units[name], usual), _input_change(record, j, sign)
     for unit in dict.fromkeys(units[experiment.input_names[j]] for j in pairs):
         own = {j: k for j, k in pairs.items() if units[experiment.input_names[j]] == unit}
         if len(own) < 2 or len(set(own.values())) < len(own):
             continue
-        along = -signs(record.ends[:, list(own.values())])
+        along = -signs(ends[:, list(own.values())])
         parts = [_input_change(record, j, along[:, i]) for i, j in enumerate(own)]
         names = tuple(experiment.input_names[j] for j in own) + tuple(experiment.output_names[k] for k in own.values())
         usual = SETTINGS.share * _rms(experiment.input_values[:, list(own)])

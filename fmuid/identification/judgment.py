@@ -11,7 +11,7 @@ from fmuid.estimation import AccuracyOutcome, Doubt, Reason, Result, SearchFailu
 from fmuid.identification.assessment import Assessment, better_point
 from fmuid.identification.contributions import PRIOR
 from fmuid.identification.data_defects import DefectKind
-from fmuid.identification.model_errors import ErrorKind, ModelError, ModelErrors
+from fmuid.identification.model_errors import ModelError, ModelErrors
 from fmuid.identification.prior_and_data import PriorDataComparison
 from fmuid.identification.prior_data_tests import Deviation
 from fmuid.identification.residual_analysis import ResidualAnalysis, ResidualDefect
@@ -70,7 +70,7 @@ def judge(
                 doubts.append(Doubt(Reason.EXPERIMENTS_CONFLICT, (own.experiment,), {"probability": own.probability}))
         errors = assessment.model_errors
         if errors is not None:
-            rough = tuple(each for each in errors.freed if ErrorKind.DEAD_TIME in each.kinds)
+            rough = tuple(each for each in errors.freed if not each.settled)
             doubts += _of_model_errors(errors, (*errors.errors, *rough))
             freed += _of_model_errors(errors, errors.freed)
         if assessment.residuals is not None:
@@ -133,7 +133,7 @@ def _of_delay(result: Result) -> Iterator[Doubt]:
 
 
 def _of_model_errors(found: ModelErrors, errors: Sequence[ModelError]) -> Iterator[Doubt]:
-    """Yield model errors; a dead time is not linear in its size, so that it leaves a doubt where it is freed."""
+    """Yield model errors, each with its size and what it moves most."""
     for each in errors:
         test, direction = each.test, each.test.direction
         i, shift = test.most

@@ -18,7 +18,7 @@ import pandas as pd
 from scipy import special
 
 from fmuid.errors import InputError, check_kind
-from fmuid.estimation import Result
+from fmuid.estimation import Reason, Result
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +52,15 @@ class ModelCandidate:
     def count(self) -> int:
         """k: the identifiable parameters and estimated variances."""
         variances = len(set(self.result.fit.noise_variance) - set(self.result.fit.given_variance))
-        freed = 0 if self.result.verdict is None else len(self.result.verdict.freed)
-        return len(self.result.names) + freed - len(self.result.identifiability.non_identifiable) + variances
+        freed = [] if self.result.verdict is None else self.result.verdict.freed
+        sizes = sum(each.reason is Reason.MODEL_ERROR for each in freed)
+        return len(self.result.names) + sizes - len(self.result.identifiability.non_identifiable) + variances
+
+    @property
+    def excludes(self) -> bool:
+        """True if clipped stretches, found with its model, do not count."""
+        freed = [] if self.result.verdict is None else self.result.verdict.freed
+        return any(each.reason is Reason.DATA_DEFECT for each in freed)
 
     @property
     def samples(self) -> int:
@@ -188,6 +195,11 @@ def _check(candidates: Sequence[ModelCandidate]) -> None:
         one, another = (
             sorted((s.unit, s.samples, s.digest) for s in each.result.setup.data) for each in (first, other)
         )
+        if one != another and (first.excludes or other.excludes):
+            raise IncomparableError(
+                f"{first.name} and {other.name} exclude different clipped samples. "
+                'Set `estimation.model_error = "report"` in both studies.'
+            )
         if one != another:
             raise IncomparableError(
                 f"{first.name} and {other.name} have different data. Their likelihoods are not comparable."

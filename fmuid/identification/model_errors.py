@@ -13,7 +13,6 @@ from fmuid.array_types import Floats
 from fmuid.codec import Layout
 
 LEVEL = 0.01  # false alarms of all directed tests together
-PLAUSIBLE = 10.0  # usual sizes: a dead time of 10 % of the voltage, a gain of 10 %, five samples late
 
 
 class ErrorKind(Enum):
@@ -163,15 +162,13 @@ class ModelError:
         Beside the errors found before.
     alternatives : tuple of Direction
         Directions that explain as much.
+    settled : bool
+        False if its refits did not settle: it is not linear in its size.
     """
 
     test: DirectedTest
     alternatives: tuple[Direction, ...] = ()
-
-    @property
-    def is_plausible(self) -> bool:
-        """True if the size is not far beyond the usual: a larger one stands for another error."""
-        return abs(self.test.size) <= PLAUSIBLE * self.test.direction.usual
+    settled: bool = True
 
     @property
     def kinds(self) -> frozenset[ErrorKind]:

@@ -25,7 +25,6 @@ from fmuid.identification.model_errors import (
     DELAYS,
     DirectedTest,
     Direction,
-    ErrorKind,
     ModelError,
     ModelErrors,
     ProcessNoise,
@@ -36,12 +35,14 @@ from fmuid.identification.model_errors import (
 class RefitSettings:
     """Numbers of a refit."""
 
-    fits: int = 3  # directions are taken at the estimates of the fit before
+    fits: int = 8  # directions are taken at the estimates of the fit before: the sign of a current moves
     close_share: float = 0.6  # of the strongest score²: directions that fits tell apart, not linear scores
     most: int = 4  # directions fitted in turn
     most_errors: int = 3  # freed
     significant: float = 3.0  # σ; errors that are smaller beside the others are not freed
     settled: float = 0.01  # σ; estimates that move less end it
+    rough: float = 0.05  # σ; estimates that move more at the end: the error is not linear in its size
+    plausible: float = 20.0  # usual sizes: a dead time of 20 % of the voltage, a gain of 20 %, ten samples late
     least_weight: float = 0.02  # of a alternative in the average
 
 
@@ -144,7 +145,9 @@ def _first(found: Estimates, count: int) -> Estimates:
 
 @single_threaded
 def refit(problem: LeastSquares, result: Result, found: ModelErrors, progress: Progress | None = None) -> Refit | None:
-    """Identify again with the errors found as parameters; None if that does not converge.
+    """Identify again with the errors found as parameters.
+
+    None if that does not converge, or no size is significant beside the noise that is left.
 
     Parameters
     ----------
@@ -168,6 +171,8 @@ def refit(problem: LeastSquares, result: Result, found: ModelErrors, progress: P
     if taken is None:
         return None
     pruned = _pruned(problem, result, taken, progress)
+    if pruned is None:
+        return None
     now = now if pruned is taken else _tested(pruned, found)
     errors, corrected, again, alternatives = pruned
     again = _continued(result, again, errors)
@@ -192,19 +197,27 @@ def _extended(
     fits = []
     for each in _candidates(found):
         made = _fit(problem, result, [*before, each], progress)
-        fits += [] if made is None else [([*before, each], *made)]
+        if made is not None and _is_plausible(made[0], made[2]):
+            fits.append(made)
     if not fits:
         return None
     likelihoods = _likelihoods(problem, [each[2] for each in fits])
     errors, corrected, best = fits[int(np.argmax(likelihoods))]
-    # a dead time is not linear in its size: its likelihood says too little where its score is close
-    rough = [each[0][-1].test.direction.kind is ErrorKind.DEAD_TIME for each in fits]
+    rough = [not all(error.settled for error in each[0]) for each in fits]  # their likelihoods say too little
     weights = np.where(rough, 1.0, np.exp(likelihoods - likelihoods.max()))
     weights[weights < SETTINGS.least_weight] = 0.0
+    if any(rough):
+        errors = [*errors[:-1], replace(errors[-1], settled=False)]
     likely = [each for each, weight in zip(fits, weights.tolist(), strict=True) if weight and each[2] is not best]
     delayed = [_delayed(each) if weight else each[2] for each, weight in zip(fits, weights.tolist(), strict=True)]
     again = _averaged(delayed, delayed[int(np.argmax(likelihoods))], weights / weights.sum(), len(result.names))
     return errors, corrected, again, tuple(each[0][-1].test.direction for each in likely)
+
+
+def _is_plausible(errors: Sequence[ModelError], again: Result) -> bool:
+    """Return True if no size is far beyond the usual: a larger one stands for another error."""
+    sizes = np.abs(again.values[-len(errors) :])
+    return bool((sizes <= SETTINGS.plausible * np.array([each.test.direction.usual for each in errors])).all())
 
 
 def _delayed(fitted: tuple[list[ModelError], CorrectedProblem, Result]) -> Result:
@@ -214,14 +227,16 @@ def _delayed(fitted: tuple[list[ModelError], CorrectedProblem, Result]) -> Resul
     return again if free else include_delay(Evaluator(corrected), again)
 
 
-def _pruned(problem: LeastSquares, result: Result, found: Fitted, progress: Progress | None) -> Fitted:
-    """Return a refit without errors that are not significant beside the others."""
+def _pruned(problem: LeastSquares, result: Result, found: Fitted, progress: Progress | None) -> Fitted | None:
+    """Return a refit without errors that are not significant beside the others; None without one that is."""
     errors, _, again, _ = found
     count = len(result.names)
     scores = np.abs(again.values[count:]) / again.std[count:]
     kept = [each for each, score in zip(errors, scores.tolist(), strict=True) if score >= SETTINGS.significant]
-    fitted = _fit(problem, result, kept, progress) if 0 < len(kept) < len(errors) else None
-    return found if fitted is None else (kept, fitted[0], _delayed((kept, *fitted)), ())
+    if not kept:
+        return None
+    fitted = _fit(problem, result, kept, progress) if len(kept) < len(errors) else None
+    return found if fitted is None else (*fitted[:2], _delayed(fitted), ())
 
 
 def _candidates(found: ModelErrors) -> list[ModelError]:
@@ -240,12 +255,11 @@ def _of_model(test: DirectedTest, count: int) -> DirectedTest:
 
 def _fit(
     problem: LeastSquares, result: Result, errors: Sequence[ModelError], progress: Progress | None
-) -> tuple[CorrectedProblem, Result] | None:
+) -> tuple[list[ModelError], CorrectedProblem, Result] | None:
     """Identify with errors as parameters, around the estimates of the fit before; None without convergence."""
     sizes = {error_name(each): _size(each) for each in errors}
     start = np.concatenate([result.values, [each.start for each in sizes.values()]])
     count, now = len(result.names), result
-    again: Result | None = None
     for _ in range(SETTINGS.fits):
         directions = {each.key: each for each in problem.directions(now)}
         if not all(each.test.direction.key in directions for each in errors):
@@ -254,11 +268,11 @@ def _fit(
         again = Marquardt().search(Evaluator(corrected), progress, start)
         if not again.converged or not np.isfinite(again.std).all():
             return None
-        moved = np.abs(again.values - start) / again.std
+        moved = float(np.max(np.abs(again.values - start) / again.std))
         start, now = again.values, without_sizes(again, count)
-        if moved.max() < SETTINGS.settled:
+        if moved < SETTINGS.settled:
             break
-    return None if again is None else (corrected, again)
+    return [replace(each, settled=moved < SETTINGS.rough) for each in errors], corrected, again
 
 
 def _likelihoods(problem: LeastSquares, results: Sequence[Result]) -> Floats:

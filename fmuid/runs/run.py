@@ -126,10 +126,8 @@ def _freed(study: Study, problem: Problem, result: Result, progress: Progress | 
     free = free and not study.uncertainty_settings.explores
     # where inputs and states were not tested, an error may bear the name of another
     free = free and found is not None and found.covers_dynamics
-    if free and found is not None and found.errors and all(each.is_plausible for each in found.errors):
+    if free and found is not None and found.errors:
         again = refit(tested, result, found, progress)
-    if again is not None and again.found is not None and not all(each.is_plausible for each in again.found.freed):
-        again = None  # a size far beyond the usual stands for another error
     return replace(again or Refit(problem, result, found), excluded=excluded)
 
 

@@ -136,6 +136,11 @@ class ObservedModel:
         names = self.experiment.of_model.output_names
         return np.asarray(outputs[:, [names.index(name) for name in self.map.given.currents]])
 
+    def currents_behind(self, outputs: Floats, values: Floats) -> Floats:
+        """Return the currents (K, 2) behind outputs (K, n_outputs); NaN from fewer than two sensors."""
+        places = [self.experiment.output_names.index(name) for name in self.map.given.current_sensors]
+        return self.map.measured_axes(outputs[:, places], values)
+
     def seen(self, outputs: Floats, values: Floats) -> Floats:
         """Return the experiment's outputs (K, n_outputs) of model outputs (K, n_model)."""
         return self._arranged(outputs, self.map.outputs(self.currents(outputs), values))

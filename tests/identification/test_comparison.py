@@ -10,7 +10,7 @@ from scipy import stats
 from fmuid.array_types import Floats
 from fmuid.data import Parameter
 from fmuid.errors import InputError
-from fmuid.estimation import LeastSquares
+from fmuid.estimation import Doubt, LeastSquares, Reason, Verdict
 from fmuid.identification import IncomparableError, ModelCandidate, analyze_residuals, compare_models, identify
 from tests.support.problems import ar1
 from tests.support.results import changed
@@ -92,6 +92,9 @@ def test_incomparable_results_are_refused() -> None:
     one, other, again = candidate(line(1), 2, "one"), candidate(line(2), 2, "other"), candidate(line(1), 2, "again")
     with pytest.raises(IncomparableError, match=r"one and other .*different"):
         compare_models([one, other])
+    cut = Verdict.of([], [Doubt(Reason.DATA_DEFECT, ("excluded", "y", "first"), {"limit": 1.0, "samples": 9.0})])
+    with pytest.raises(IncomparableError, match="report"):
+        compare_models([replace(one, result=replace(one.result, verdict=cut)), other])
     for given, said in (([one], "two results"), ([one, one], "one")):
         with pytest.raises(InputError, match=said):
             compare_models(given)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
@@ -21,7 +22,13 @@ from fmuid.array_types import Floats
 from fmuid.data import SteadyExperiment
 from fmuid.estimation import AccuracyOutcome, Evaluator, Grade, LeastSquares, Reason, Result, with_shift
 from fmuid.identification import Assessment, ErrorKind, ModelErrors, Problem, assess, find_model_errors, judge, refit
-from fmuid.identification.data_defects import DefectKind, converter_step, find_data_defects, without_clipped
+from fmuid.identification.data_defects import (
+    DefectKind,
+    clipped_ends,
+    converter_step,
+    find_data_defects,
+    without_clipped,
+)
 from fmuid.identification.directed_tests import largest_scores, probability_of
 from fmuid.identification.final_covariance import include_uneven_noise
 from fmuid.identification.linearized_record import LinearizedRecord, exponentials
@@ -268,7 +275,33 @@ def test_alternatives_widen_intervals() -> None:
     freed = again.found.freed[0]
     assert ErrorKind.DEAD_TIME in freed.kinds
     verdict = judge(result, Assessment(model_errors=again.found))
-    assert verdict.freed and verdict.reasons == (Reason.MODEL_ERROR,)  # a dead time is not linear in its size
+    # where the current sticks at zero, refits do not settle: a doubt
+    assert verdict.freed and verdict.reasons == (Reason.MODEL_ERROR,)
+
+
+def test_an_alternative_of_usual_size_is_freed() -> None:
+    """L fixed 30 % too large, or gains 30 % off: a sensor is not so wrong."""
+    rng = np.random.default_rng([34, 0])
+    u = held_voltage(rng)
+    current = closed(u)
+    noisy = current + np.sqrt(np.mean(current**2) / 30) * rng.standard_normal(COUNT)
+    problem = fmuid.Problem(COIL, problem_of(u, noisy).experiments, {"R": fmuid.Parameter(3.0)}, values={"L": 1.3 * L})
+    result = fmuid.identify(problem)
+    found = find_model_errors(problem.as_in(result), result)
+    assert found is not None and {ErrorKind.FIXED, ErrorKind.INPUT_GAIN} <= found.errors[0].kinds
+    again = refit(problem.as_in(result), result, found)
+    assert again is not None and again.found is not None
+    (freed,) = again.found.freed
+    assert (freed.test.direction.kind, freed.settled) == (ErrorKind.FIXED, True)
+    assert freed.test.size == pytest.approx(1.0 / 1.3 - 1.0, abs=0.06)  # outputs are not linear in L
+    assert abs(again.result.values[0] - R) < 3.0 * again.result.std[0]
+
+
+def test_no_error_is_freed_that_is_not_significant(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem, result = identified("half a sample late")
+    module = importlib.import_module("fmuid.identification.refit")
+    monkeypatch.setattr(module, "SETTINGS", replace(module.SETTINGS, significant=100.0))
+    assert refit(problem.as_in(result), result, found_in("half a sample late")) is None
 
 
 # --- verdict
@@ -397,6 +430,12 @@ def test_rows_without_a_time_are_not_clipped(kind: type[fmuid.Experiment]) -> No
     fit = SimpleNamespace(simulated=(u[:, None],), noise_variance={"i": 1e-4})
     found = without_clipped(problem, SimpleNamespace(fit=fit))  # type: ignore[arg-type]
     assert (found is None) == (kind is SteadyExperiment)
+
+
+def test_an_end_that_the_model_has_is_no_clipping() -> None:
+    values = np.minimum(np.linspace(0.0, 1.0, 60), 0.8)
+    assert clipped_ends(values, values + 1e-3) == [(0.8, 1.0)]
+    assert clipped_ends(values, values) == []
 
 
 def test_clipped_stretches_do_not_count(tmp_path: Path) -> None:

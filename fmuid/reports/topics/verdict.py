@@ -106,7 +106,9 @@ def verdict_state(verdict: Verdict) -> tuple[str, Tone]:
 
 def reason_words(verdict: Verdict) -> str:
     """Return the gravest reasons, and the number of others."""
-    freed = [error_words(each) for each in verdict.freed if each.reason is Reason.MODEL_ERROR]
+    doubts = {each.subject for each in verdict.doubts if each.reason is Reason.MODEL_ERROR}
+    free = (each for each in verdict.freed if each.reason is Reason.MODEL_ERROR and each.subject not in doubts)
+    freed = [error_words(each) for each in free]
     told = [f"freed: {listed(freed)}"] if freed else []
     told += _phrases([*verdict.doubts, *(each for each in verdict.freed if each.reason is not Reason.MODEL_ERROR)])
     more = [f"{len(told) - SHOWN_REASONS} more"] if len(told) > SHOWN_REASONS else []
