@@ -20,6 +20,7 @@ import fmuid
 from experiments import pages
 from experiments.starts.draws import MACHINES, Record, draw
 from fmuid.estimation import Evaluator, LeastSquares
+from fmuid.identification import assess, judge
 
 HERE = Path(__file__).parent
 FMUS = HERE.parents[1] / "fmus"
@@ -78,7 +79,8 @@ def searched(kind: str, seed: int, least: float, most: float, *, remedies: bool)
     try:
         result = fmuid.identify(evaluator, restart=remedies)
     except fmuid.FmuidError:
-        ended: dict[str, object] = {"found": False, "outcome": "error", "simulations": evaluator.simulations, "way": ""}
+        ended: dict[str, object] = {"found": False, "outcome": "error", "simulations": evaluator.simulations}
+        ended |= {"way": "", "verdict": ""}
         return row | ended | {"cpu_s": time.process_time() - began}
     spent = time.process_time() - began
     noise = np.sqrt(np.nanmean((record.measured - record.clean) ** 2, axis=0))
@@ -87,6 +89,8 @@ def searched(kind: str, seed: int, least: float, most: float, *, remedies: bool)
     left = [np.sqrt(np.nanmean((fit[f"measured.{name}"] - fit[f"simulated.{name}"]) ** 2)) for name in outputs]
     way = next((each.remedy.value for each in result.history.restarts if each.kept), "given")
     ended = {"found": bool((np.array(left) < FOUND * noise).all()), "outcome": result.outcome.value, "way": way}
+    verdict = judge(result, assess(whole, result)) if remedies else None
+    ended |= {"verdict": "" if verdict is None else verdict.grade.value}
     return row | ended | {"simulations": result.history.simulations, "cpu_s": spent}
 
 
@@ -102,8 +106,9 @@ def table(found: pd.DataFrame) -> str:
             told = ", ".join(f"{way} {count}".replace("_", " ") for way, count in ways.items()) if remedies else ""
             count = f"{int(part['found'].sum())} of {len(part)}"
             effort = f"{part['simulations'].median():.0f}, {part['simulations'].max()}"
-            rows.append((case if remedies else "", "yes" if remedies else "no", count, effort, told))
-    return pages.table(["", "remedies", "found", "simulations (median, most)", "by"], rows)
+            passed = f"{int((part['verdict'] == 'passed').sum())}" if remedies else ""
+            rows.append((case if remedies else "", "yes" if remedies else "no", count, effort, told, passed))
+    return pages.table(["", "remedies", "found", "simulations (median, most)", "by", "PASSED"], rows)
 
 
 def main() -> None:
