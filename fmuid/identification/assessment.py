@@ -195,6 +195,8 @@ def assess(
             problem, result, search_data=asked.search_data, healthy=asked.known_variance, diagnostics=residuals
         )
         errors = find_model_errors(problem.as_in(result), result) if earlier is None else earlier.model_errors
+        if errors is not None:
+            errors = replace(errors, process_noise=problem.process_noise(result))
         defects = find_data_defects(problem, result)
         brought = find_contributions(problem, result)
         found = replace(found, residuals=residuals, prior_and_data=reading, model_errors=errors)

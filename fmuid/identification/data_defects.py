@@ -122,11 +122,10 @@ def clipped_ends(measured: Floats, simulated: Floats) -> list[tuple[float, float
     step, found = converter_step(measured), []
     for limit, sign in ((float(measured.max()), 1.0), (float(measured.min()), -1.0)):
         at = measured == limit
-        if np.isclose(simulated, limit, rtol=0.0, atol=SETTINGS.same * np.ptp(measured)).sum() >= at.sum() // 2:
-            continue
+        modeled = np.isclose(simulated, limit, rtol=0.0, atol=SETTINGS.same * np.ptp(measured))
         # without steps no two samples are alike by chance
         beyond = not step or sign * float((simulated[at] - limit).mean()) > 0.5 * step
-        if at.sum() >= SETTINGS.clipped_samples and beyond:
+        if at.sum() >= SETTINGS.clipped_samples and beyond and modeled.sum() < at.sum() // 2:
             found.append((limit, sign))
     return found
 

@@ -17,7 +17,7 @@ from scipy import special
 
 from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
-from fmuid.estimation import Autoregression, LeastSquares, ResidualNoise, Result, augmented
+from fmuid.estimation import LeastSquares, ResidualNoise, Result, augmented
 from fmuid.identification.acquisition_delay import DELAY_PRIOR, delay_columns
 from fmuid.identification.model_errors import LEVEL, DirectedTest, Direction, ErrorKind, ModelError, ModelErrors
 
@@ -48,7 +48,7 @@ class WhitenedRows:
         assert local is not None and noise is not None, "a result from a file has neither"
         columns = np.stack([each.column for each in directions], axis=1) / local.levels[:, None]
         self.directions, self.problem, self.result = directions, problem, result
-        self.is_colored = any(_is_colored(each.process) for each in noise.models)
+        self.is_colored = is_colored(noise)
         self.raw = np.column_stack([local.residual, -local.jacobian, columns])
         self.prior = np.column_stack([local.prior_residual, -local.prior_jacobian])
         self.shift = np.nan_to_num(_response(problem, result, columns) / result.std[:, None])
@@ -57,9 +57,10 @@ class WhitenedRows:
         self.residual, self.sensitivities, self.columns = rows[:, 0], rows[:, 1:first], rows[:, first:]
 
 
-def _is_colored(process: Autoregression) -> bool:
+def is_colored(noise: ResidualNoise) -> bool:
     """Return True if noise differs from white noise significantly (2 σ)."""
-    return bool(process.pole or np.abs(process.coefficients).sum() > 2.0 / math.sqrt(max(process.samples, 1)))
+    processes = [each.process for each in noise.models]
+    return any(p.pole or np.abs(p.coefficients).sum() > 2.0 / math.sqrt(max(p.samples, 1)) for p in processes)
 
 
 def _response(problem: LeastSquares, result: Result, columns: Floats) -> Floats:
@@ -220,8 +221,7 @@ def find_model_errors(problem: LeastSquares, result: Result) -> ModelErrors | No
         errors.append(ModelError(strongest, tuple(alternatives)))
         known.append(j)
         found = score_directions(rows, known)
-    noise = problem.process_noise(result) if rows.is_colored else None
-    return ModelErrors(result.names, tuple(first), tuple(errors), process_noise=noise)
+    return ModelErrors(result.names, tuple(first), tuple(errors))
 
 
 def _is_alternative(test: DirectedTest, strongest: DirectedTest) -> bool:

@@ -52,15 +52,17 @@ class ModelCandidate:
     def count(self) -> int:
         """k: the identifiable parameters and estimated variances."""
         variances = len(set(self.result.fit.noise_variance) - set(self.result.fit.given_variance))
-        freed = [] if self.result.verdict is None else self.result.verdict.freed
-        sizes = sum(each.reason is Reason.MODEL_ERROR for each in freed)
+        sizes = self._freed.count(Reason.MODEL_ERROR)
         return len(self.result.names) + sizes - len(self.result.identifiability.non_identifiable) + variances
 
     @property
     def excludes(self) -> bool:
         """True if clipped stretches, found with its model, do not count."""
-        freed = [] if self.result.verdict is None else self.result.verdict.freed
-        return any(each.reason is Reason.DATA_DEFECT for each in freed)
+        return Reason.DATA_DEFECT in self._freed
+
+    @property
+    def _freed(self) -> list[Reason]:
+        return [] if self.result.verdict is None else [each.reason for each in self.result.verdict.freed]
 
     @property
     def samples(self) -> int:
@@ -195,15 +197,16 @@ def _check(candidates: Sequence[ModelCandidate]) -> None:
         one, another = (
             sorted((s.unit, s.samples, s.digest) for s in each.result.setup.data) for each in (first, other)
         )
-        if one != another and (first.excludes or other.excludes):
+        if one == another:
+            continue
+        if first.excludes or other.excludes:
             raise IncomparableError(
                 f"{first.name} and {other.name} exclude different clipped samples. "
                 'Set `estimation.model_error = "report"` in both studies.'
             )
-        if one != another:
-            raise IncomparableError(
-                f"{first.name} and {other.name} have different data. Their likelihoods are not comparable."
-            )
+        raise IncomparableError(
+            f"{first.name} and {other.name} have different data. Their likelihoods are not comparable."
+        )
 
 
 def _contains(larger: ModelCandidate, smaller: ModelCandidate) -> bool:

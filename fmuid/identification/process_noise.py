@@ -14,6 +14,7 @@ import scipy
 
 from fmuid.array_types import Floats
 from fmuid.estimation import LeastSquares, Result
+from fmuid.identification.directed_tests import is_colored
 from fmuid.identification.linearized_record import DiscreteStateSpace, LinearizedRecord
 from fmuid.identification.model_errors import ProcessNoise
 from fmuid.simulation import AnySimulator, Simulator
@@ -35,7 +36,7 @@ SETTINGS = ProcessNoiseSettings()
 
 
 def _observable(space: DiscreteStateSpace, spread: Floats) -> tuple[DiscreteStateSpace, Floats]:
-    """Return the states that outputs show, and mean squares of outputs.
+    """Return the space that outputs show, and mean squares of outputs.
 
     Outputs are in units of their spread (n_y,); squares (n_x,) are those after unit rates.
     """
@@ -66,11 +67,11 @@ def _gains(space: DiscreteStateSpace, state: int, square: float) -> Iterator[Flo
 def process_noise_of(problem: LeastSquares, simulators: Sequence[AnySimulator], result: Result) -> ProcessNoise | None:
     """Return the process noise of a result.
 
-    None where phases rotate, outputs of experiments differ, or the model shows no derivatives.
+    None without color, where phases rotate, outputs of experiments differ, or the model shows no derivatives.
     """
-    local, records = result.fit.linearization, []
-    assert local is not None, "a result from a file has no linearization"
-    if len({each.output_names for each in problem.experiments}) > 1:
+    local, noise, records = result.fit.linearization, result.fit.noise, []
+    assert local is not None and noise is not None, "a result from a file has neither"
+    if not is_colored(noise) or len({each.output_names for each in problem.experiments}) > 1:
         return None
     for index, simulator in enumerate(simulators):
         if not isinstance(simulator, Simulator) or simulator.observed is not None:
@@ -102,19 +103,25 @@ def find_process_noise(
     rows = [np.nan_to_num(each / spread) for each in residuals]
     best = min(_autoregressions(rows, counted)) - SETTINGS.better
     seen = [_observable(each, spread) for each in spaces]
-    found = []
+    named, gains = [], []
     for j, name in enumerate(states):
         if not all(squares[j] > 0.0 for _, squares in seen):
             continue
         try:
-            gains = [np.stack([*_gains(space, j, squares[j])]) for space, squares in seen]
+            gains.append([np.stack([*_gains(space, j, squares[j])]) for space, squares in seen])
         except np.linalg.LinAlgError:  # no stationary gain
             continue
-        parts = [_innovations(*each) for each in zip((own for own, _ in seen), gains, rows, strict=True)]
-        values = _bic(np.concatenate(parts, axis=1)[:, counted], 1)
-        k = int(np.argmin(values))
-        found.append((float(values[k]), name, SETTINGS.ratios[k]))
-    likely = sorted(each for each in found if each[0] < best)
+        named.append(name)
+    if not named:
+        return None
+    parts = [
+        _innovations(space, np.concatenate(own), table)
+        for (space, _), own, table in zip(seen, zip(*gains, strict=True), rows, strict=True)
+    ]
+    values = _bic(np.concatenate(parts, axis=1)[:, counted], 1).reshape(len(named), -1)
+    ratios = [SETTINGS.ratios[k] for k in values.argmin(axis=1)]
+    least = zip(values.min(axis=1).tolist(), named, ratios, strict=True)
+    likely = sorted(each for each in least if each[0] < best)
     if not likely:
         return None
     names = tuple(name for value, name, _ in likely if value < likely[0][0] + SETTINGS.better)

@@ -43,7 +43,7 @@ class RefitSettings:
     settled: float = 0.01  # σ; estimates that move less end it
     rough: float = 0.05  # σ; estimates that move more at the end: the error is not linear in its size
     plausible: float = 20.0  # usual sizes: a dead time of 20 % of the voltage, a gain of 20 %, ten samples late
-    least_weight: float = 0.02  # of a alternative in the average
+    least_weight: float = 0.02  # of an alternative in the average
 
 
 SETTINGS = RefitSettings()

@@ -11,7 +11,6 @@ from scipy.linalg import expm
 
 import fmuid
 from fmuid.array_types import Floats
-from fmuid.identification import find_model_errors
 from fmuid.identification.linearized_record import DiscreteStateSpace
 from fmuid.identification.model_errors import ProcessNoise
 from fmuid.identification.process_noise import find_process_noise
@@ -42,9 +41,7 @@ def coil(seed: int, coefficients: Sequence[float] = (), disturbance: float = 0.0
 
 
 def found_in(problem: fmuid.Problem) -> ProcessNoise | None:
-    found = find_model_errors(problem, fmuid.identify(problem))
-    assert found is not None
-    return found.process_noise
+    return problem.process_noise(fmuid.identify(problem))
 
 
 @pytest.mark.parametrize("coefficients", [(), (0.6,), (1.2, -0.5)])
@@ -58,7 +55,7 @@ def test_a_disturbed_voltage_disturbs_the_current() -> None:
         found = found_in(problem)
         assert found is not None and found.states == ("i",)
         assert found.share == pytest.approx(share, abs=0.15)
-    errors = find_model_errors(problem, fmuid.identify(problem))
+    errors = fmuid.assess(problem, fmuid.identify(problem)).model_errors
     told = [each.text for each in model_error_remarks(errors)]
     assert any(each.startswith("Noise looks like a disturbance of i (") for each in told)
 
