@@ -19,7 +19,14 @@ from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
 from fmuid.estimation import LeastSquares, ResidualNoise, Result, augmented
 from fmuid.identification.acquisition_delay import DELAY_PRIOR, delay_columns
-from fmuid.identification.model_errors import LEVEL, DirectedTest, Direction, ErrorKind, ModelError, ModelErrors
+from fmuid.identification.model_errors import (
+    LEVEL,
+    DirectedTest,
+    Direction,
+    ErrorKind,
+    ModelError,
+    ModelErrors,
+)
 
 
 @dataclass(frozen=True)
@@ -213,19 +220,19 @@ def find_model_errors(problem: LeastSquares, result: Result) -> ModelErrors | No
     known: list[int] = []
     errors: list[ModelError] = []
     while len(known) < SETTINGS.most:
-        j = int(np.argmax([abs(each.score) for each in found]))
-        strongest = found[j]
-        if strongest.probability > LEVEL:
+        significant = [each for each in found if each.probability <= LEVEL]
+        if not significant:
             break
-        alternatives = [each.direction for k, each in enumerate(found) if k != j and _is_alternative(each, strongest)]
+        strongest = max(significant, key=lambda each: each.evidence)
+        alternatives = [each.direction for each in found if _is_alternative(each, strongest)]
         errors.append(ModelError(strongest, tuple(alternatives)))
-        known.append(j)
+        known.append(found.index(strongest))
         found = score_directions(rows, known)
     return ModelErrors(result.names, tuple(first), tuple(errors))
 
 
 def _is_alternative(test: DirectedTest, strongest: DirectedTest) -> bool:
-    """Return True if a direction explains as much; a dead time is not linear in its size and scores too low."""
+    """Return True if another direction explains as much; a dead time is not linear in its size and scores too low."""
     share = SETTINGS.close_share if test.direction.kind is ErrorKind.DEAD_TIME else 1.0
-    least = min(strongest.score**2 - SETTINGS.alternative, share * strongest.score**2)
-    return bool(test.score) and test.score**2 > least
+    least = min(strongest.evidence - SETTINGS.alternative, share * strongest.score**2)
+    return test is not strongest and bool(test.score) and test.evidence > least

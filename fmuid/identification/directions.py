@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import lfilter
 
 from fmuid.array_types import Floats
 from fmuid.data import Experiment
@@ -102,7 +103,7 @@ def _columns(
     record = LinearizedRecord.of(simulator.model_at(theta), theta)
     if record is None or not _agrees(simulator.seen(record.sensitivities, theta)[simulator.own], slopes[simulator.own]):
         return
-    yield from _delays(record, simulator, theta)
+    yield from _of_slopes(record, simulator, theta, units)
     plain = simulator.observed is None
     forced = list(_of_inputs(record, simulated, units) if plain else _of_lines(record, simulator, simulated, units))
     forced += _of_parameters(record, simulator, units)
@@ -135,30 +136,60 @@ def _only(shape: tuple[int, ...], column: int, values: Floats | float) -> Floats
 
 
 def _of_sensors(experiment: Experiment, simulated: Floats, units: Mapping[str, str]) -> Iterator[_Column]:
-    """Yield offset and gain of each output."""
+    """Yield offset, its drift, gain, and gain by amplitude, of each output."""
+    elapsed = experiment.times - experiment.times[0]
     for j, name in enumerate(experiment.output_names):
-        usual, shape = SETTINGS.share * _rms(simulated[:, j]), simulated.shape
+        usual, shape, own = SETTINGS.share * _rms(simulated[:, j]), simulated.shape, simulated[:, j]
         yield _Column(ErrorKind.OFFSET, (name,), units[name], usual, _only(shape, j, 1.0))
-        yield _Column(ErrorKind.GAIN, (name,), "", SETTINGS.share, _only(shape, j, simulated[:, j]))
+        if elapsed[-1] > 0.0:
+            yield _Column(ErrorKind.ZERO_DRIFT, (name,), units[name], usual, _only(shape, j, elapsed / elapsed[-1]))
+        yield _Column(ErrorKind.GAIN, (name,), "", SETTINGS.share, _only(shape, j, own))
+        cubic = -own * (own / max(float(np.abs(own).max()), 1e-300)) ** 2
+        yield _Column(ErrorKind.NONLINEARITY, (name,), "", SETTINGS.share, _only(shape, j, cubic))
 
 
-def _delays(record: LinearizedRecord, simulator: Simulator, theta: Floats) -> Iterator[_Column]:
-    """Yield delays of all outputs and of each, in samples: secants of half a sample."""
+def _of_slopes(
+    record: LinearizedRecord, simulator: Simulator, theta: Floats, units: Mapping[str, str]
+) -> Iterator[_Column]:
+    """Yield errors that follow the slopes of outputs: delays, lags, slow clocks (secants of half a sample), hysteresis.
+
+    In samples, of all outputs and of each.
+    """
     middle, outputs, observed = record.half_samples, record.outputs, simulator.observed
     if observed is not None:
         (values,) = np.where(observed.map.is_delay, 0.0, observed.quantities(theta[None]))
         middle, outputs = observed.between(middle, values), observed.seen(outputs, values)
     late = 2.0 * (np.vstack([outputs[:1], middle]) - outputs)
     early = 2.0 * (np.vstack([middle, outputs[-1:]]) - outputs)
+    elapsed = (record.times - record.times[0]) / np.ptp(record.times)
+    moved = (
+        (ErrorKind.DELAY, late, True),
+        (ErrorKind.ADVANCE, early, True),  # slopes at a sample differ
+        (ErrorKind.LAG, _lagging(outputs, middle) - outputs, True),
+        (ErrorKind.CLOCK, 0.5 * (late - early) * elapsed[:, None], False),
+    )
     names = simulator.experiment.output_names
     parts = [(names, slice(None))] + (
         [((name,), slice(j, j + 1)) for j, name in enumerate(names)] if len(names) > 1 else []
     )
-    for kind, whole in ((ErrorKind.DELAY, late), (ErrorKind.ADVANCE, early)):  # slopes at a sample differ
+    for kind, whole, one_sided in moved:
         for subject, columns in parts:
             table = np.zeros(outputs.shape)
             table[:, columns] = whole[:, columns]
-            yield _Column(kind, subject, "samples", SETTINGS.delay, table, True)
+            yield _Column(kind, subject, "samples", SETTINGS.delay, table, one_sided)
+    for j, (name, rises) in enumerate(zip(names, np.diff(outputs, axis=0, prepend=outputs[:1]).T, strict=True)):
+        usual = SETTINGS.share * _rms(outputs[:, j])
+        if rises.any():
+            against = _only(outputs.shape, j, -signs(rises[:, None])[:, 0])
+            yield _Column(ErrorKind.HYSTERESIS, (name,), units[name], usual, against)
+
+
+def _lagging(outputs: Floats, middle: Floats) -> Floats:
+    """Return outputs (K, n_y) behind a first-order lag of a sample."""
+    fine = np.zeros((2 * len(outputs) - 1, outputs.shape[1]))
+    fine[::2], fine[1::2] = outputs - outputs[0], middle - outputs[0]
+    pole, mean = math.exp(-0.5), 2.0 * (1.0 - math.exp(-0.5))
+    return np.asarray(lfilter([1.0 - mean, mean - pole], [1.0, -pole], fine, axis=0)[::2] + outputs[0])
 
 
 def _made(kind: ErrorKind, subject: tuple[str, ...], unit: str, usual: float, one_sided: bool = False) -> _Column:

@@ -70,8 +70,8 @@ def judge(
                 doubts.append(Doubt(Reason.EXPERIMENTS_CONFLICT, (own.experiment,), {"probability": own.probability}))
         errors = assessment.model_errors
         if errors is not None:
-            rough = tuple(each for each in errors.freed if not each.settled)
-            doubts += _of_model_errors(errors, (*errors.errors, *rough))
+            unexplained = tuple(each for each in errors.freed if not each.is_explained)
+            doubts += _of_model_errors(errors, (*errors.errors, *unexplained))
             freed += _of_model_errors(errors, errors.freed)
         if assessment.residuals is not None:
             doubts += _of_residuals(assessment.residuals, tested=errors is not None and errors.covers_dynamics)

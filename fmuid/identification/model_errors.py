@@ -13,19 +13,25 @@ from fmuid.array_types import Floats
 from fmuid.codec import Layout
 
 LEVEL = 0.01  # false alarms of all directed tests together
+PLAUSIBLE = 20.0  # usual sizes: a dead time of 20 % of the voltage, a gain of 20 %, ten samples late
 
 
 class ErrorKind(Enum):
     """Kind of a model error; ``kind`` in ``result.json``."""
 
     DELAY = "delay"  # of an output, or of all
-    ADVANCE = "advance"  # likewise
+    ADVANCE = "advance"  # likewise; a fast path beside the model looks alike
+    LAG = "lag"  # a low-pass behind an output
+    CLOCK = "clock"  # outputs come later and later
     INPUT_DELAY = "input_delay"
     INPUT_ADVANCE = "input_advance"
     INTERPOLATION = "interpolation"  # an input is held where it was taken as linear, or the other way round
     OFFSET = "offset"
+    ZERO_DRIFT = "zero_drift"  # an offset that grows linearly in time
     INPUT_OFFSET = "input_offset"
     GAIN = "gain"
+    NONLINEARITY = "nonlinearity"  # the gain of a sensor falls with the square of its output
+    HYSTERESIS = "hysteresis"  # an output lacks a constant against the sign of its slope
     INPUT_GAIN = "input_gain"
     JOINT = "joint"  # a resistance in series with a line
     DEAD_TIME = "dead_time"  # an input lacks a constant against the sign of an output
@@ -45,6 +51,7 @@ class ErrorKind(Enum):
 _RELATIVE = frozenset(
     {
         ErrorKind.GAIN,
+        ErrorKind.NONLINEARITY,
         ErrorKind.INPUT_GAIN,
         ErrorKind.SATURATION,
         ErrorKind.STATE_DEPENDENCE,
@@ -60,7 +67,16 @@ CHANGING = frozenset({ErrorKind.SATURATION, ErrorKind.STATE_DEPENDENCE, ErrorKin
 """Parameters that are none: the estimate is their value where the record sees them."""
 
 
-DELAYS = frozenset({ErrorKind.DELAY, ErrorKind.ADVANCE, ErrorKind.INPUT_DELAY, ErrorKind.INPUT_ADVANCE})
+OUTPUT_DELAYS = frozenset({ErrorKind.DELAY, ErrorKind.ADVANCE, ErrorKind.LAG, ErrorKind.CLOCK})
+"""Errors in the time of an output, or of all."""
+DELAYS = (OUTPUT_DELAYS | {ErrorKind.INPUT_DELAY, ErrorKind.INPUT_ADVANCE}) - {ErrorKind.CLOCK}
+
+
+ACAUSAL = frozenset({ErrorKind.ADVANCE, ErrorKind.INPUT_ADVANCE})
+"""Effects before their causes: a clock, or a path that the model lacks."""
+RARE = frozenset({ErrorKind.LAG, ErrorKind.CLOCK, ErrorKind.ZERO_DRIFT, ErrorKind.NONLINEARITY, ErrorKind.HYSTERESIS})
+"""Errors that are thought of where usual ones explain less."""
+RARE_ODDS = -2.0  # ln of their prior odds
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,9 +163,26 @@ class DirectedTest:
         return self.most[1] * self.detectable if self.most[1] else 0.0
 
     @property
+    def log_odds(self) -> float:
+        """Odds of such an error and size; interpolation is one or the other, and has a size of 1."""
+        if self.direction.kind is ErrorKind.INTERPOLATION:
+            return -0.5 * ((self.size - 1.0) / self.std) ** 2
+        return RARE_ODDS * ((self.direction.kind in RARE) + (not self.is_plausible))
+
+    @property
+    def evidence(self) -> float:
+        """Gain of 2 ln L, with the odds of the error."""
+        return self.score**2 + 2.0 * self.log_odds
+
+    @property
     def exposure(self) -> Floats:
         """Shift of the estimates (N,) by the usual size, σ."""
         return self.shift * self.direction.usual
+
+    @property
+    def is_plausible(self) -> bool:
+        """True if an error has such a size."""
+        return abs(self.size) <= PLAUSIBLE * self.direction.usual
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,6 +207,11 @@ class ModelError:
     def kinds(self) -> frozenset[ErrorKind]:
         """Kinds of the error and its alternatives."""
         return frozenset(each.kind for each in (self.test.direction, *self.alternatives))
+
+    @property
+    def is_explained(self) -> bool:
+        """True if its size is sure, and its name says a cause."""
+        return self.settled and not self.kinds & ACAUSAL
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ Alternatives that explain the residual as well are averaged by their likelihoods
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -25,10 +26,12 @@ from fmuid.identification.model_errors import (
     DELAYS,
     DirectedTest,
     Direction,
+    ErrorKind,
     ModelError,
     ModelErrors,
     ProcessNoise,
 )
+from fmuid.identification.problem import Problem
 
 
 @dataclass(frozen=True)
@@ -42,8 +45,8 @@ class RefitSettings:
     significant: float = 3.0  # σ; errors that are smaller beside the others are not freed
     settled: float = 0.01  # σ; estimates that move less end it
     rough: float = 0.05  # σ; estimates that move more at the end: the error is not linear in its size
-    plausible: float = 20.0  # usual sizes: a dead time of 20 % of the voltage, a gain of 20 %, ten samples late
-    least_weight: float = 0.02  # of an alternative in the average
+    named: float = 2.0  # of ln L: alternatives that explain as much
+    averaged: float = 4.0  # of ln L: alternatives in the average
 
 
 SETTINGS = RefitSettings()
@@ -73,27 +76,29 @@ class Refit:
 
 
 class CorrectedPredictor:
-    """Predictor with directions (K, n_outputs, m) times sizes added to its outputs."""
+    """Predictor with sizes times directions (K, n_outputs, m) added; it simulates some sizes (m,) itself."""
 
-    def __init__(self, predictor: Any, directions: Floats) -> None:
-        self._predictor, self._directions = predictor, directions
+    def __init__(self, predictor: Any, directions: Floats, simulated: Floats) -> None:
+        self._predictor, self._directions, self._simulated = predictor, directions, simulated
 
     def many(self, thetas: ArrayLike) -> FunctionPredictions:
         """Simulate thetas (k, N_i + m); the last m numbers are sizes."""
         given, count = np.asarray(thetas, dtype=np.float64), self._directions.shape[2]
         found = self._predictor.many(np.ascontiguousarray(given[:, :-count]))
-        added = np.einsum("kjm,tm->tkj", self._directions, given[:, -count:])
+        added = np.einsum("kjm,tm->tkj", self._directions, given[:, -count:] - self._simulated)
         return FunctionPredictions(found.outputs + added, tuple(found.errors))
 
 
 class CorrectedProblem(LeastSquares):
     """A problem with model errors freed: its outputs plus directions times sizes."""
 
-    def __init__(self, base: LeastSquares, directions: Sequence[Direction], sizes: Mapping[str, Parameter]) -> None:
+    def __init__(
+        self, base: LeastSquares, directions: Sequence[Direction], sizes: Mapping[str, Parameter], simulated: Floats
+    ) -> None:
         vars(self)["base"], vars(self)["freed"] = base, tuple(directions)
         columns = [base.tables(base.unscaled(each.column)) for each in directions]
         predictors = [
-            CorrectedPredictor(each, np.nan_to_num(np.stack([tables[i] for tables in columns], axis=2)))
+            CorrectedPredictor(each, np.nan_to_num(np.stack([tables[i] for tables in columns], axis=2)), simulated)
             for i, each in enumerate(base.predictors)
         ]
         given = {**base.given_parameters, **sizes}
@@ -194,30 +199,29 @@ def _extended(
     problem: LeastSquares, result: Result, before: list[ModelError], found: ModelErrors, progress: Progress | None
 ) -> Fitted | None:
     """Return the best fit with one more error, averaged over alternatives."""
-    fits = []
-    for each in _candidates(found):
-        made = _fit(problem, result, [*before, each], progress)
-        if made is not None and _is_plausible(made[0], made[2]):
-            fits.append(made)
+    made = [_fit(problem, result, [*before, each], progress) for each in _candidates(found)]
+    fits = [each for each in made if each is not None and _is_possible(each[0])]
     if not fits:
         return None
     likelihoods = _likelihoods(problem, [each[2] for each in fits])
-    errors, corrected, best = fits[int(np.argmax(likelihoods))]
+    likelihoods += [each[0][-1].test.log_odds for each in fits]
+    first = int(np.argmax(likelihoods))
+    errors, corrected, _ = fits[first]
     rough = [not all(error.settled for error in each[0]) for each in fits]  # their likelihoods say too little
-    weights = np.where(rough, 1.0, np.exp(likelihoods - likelihoods.max()))
-    weights[weights < SETTINGS.least_weight] = 0.0
+    behind = np.where(rough, 0.0, likelihoods.max() - likelihoods)
+    weights = np.where(behind < SETTINGS.averaged, np.exp(-behind), 0.0)
     if any(rough):
         errors = [*errors[:-1], replace(errors[-1], settled=False)]
-    likely = [each for each, weight in zip(fits, weights.tolist(), strict=True) if weight and each[2] is not best]
+    named = [each[0][-1].test.direction for k, each in enumerate(fits) if behind[k] < SETTINGS.named and k != first]
     delayed = [_delayed(each) if weight else each[2] for each, weight in zip(fits, weights.tolist(), strict=True)]
-    again = _averaged(delayed, delayed[int(np.argmax(likelihoods))], weights / weights.sum(), len(result.names))
-    return errors, corrected, again, tuple(each[0][-1].test.direction for each in likely)
+    again = _averaged(delayed, delayed[first], weights / weights.sum(), len(result.names))
+    return errors, corrected, again, tuple(named)
 
 
-def _is_plausible(errors: Sequence[ModelError], again: Result) -> bool:
-    """Return True if no size is far beyond the usual: a larger one stands for another error."""
-    sizes = np.abs(again.values[-len(errors) :])
-    return bool((sizes <= SETTINGS.plausible * np.array([each.test.direction.usual for each in errors])).all())
+def _is_possible(errors: Sequence[ModelError]) -> bool:
+    """Return True if all sizes are plausible, and the last is significant."""
+    last = errors[-1].test
+    return all(each.test.is_plausible for each in errors) and abs(last.size) >= SETTINGS.significant * last.std
 
 
 def _delayed(fitted: tuple[list[ModelError], CorrectedProblem, Result]) -> Result:
@@ -259,20 +263,42 @@ def _fit(
     """Identify with errors as parameters, around the estimates of the fit before; None without convergence."""
     sizes = {error_name(each): _size(each) for each in errors}
     start = np.concatenate([result.values, [each.start for each in sizes.values()]])
-    count, now = len(result.names), result
+    count, now, base = len(result.names), result, problem
+    simulated = np.zeros(len(errors))
     for _ in range(SETTINGS.fits):
-        directions = {each.key: each for each in problem.directions(now)}
+        directions = {each.key: each for each in base.directions(now)}
         if not all(each.test.direction.key in directions for each in errors):
             return None
-        corrected = CorrectedProblem(problem, [directions[each.test.direction.key] for each in errors], sizes)
+        chosen = [_in_share(directions[each.test.direction.key], each) for each in errors]
+        corrected = CorrectedProblem(base, chosen, sizes, simulated)
         again = Marquardt().search(Evaluator(corrected), progress, start)
         if not again.converged or not np.isfinite(again.std).all():
             return None
         moved = float(np.max(np.abs(again.values - start) / again.std))
         start, now = again.values, without_sizes(again, count)
+        base, simulated = _simulating(problem, errors, start[count:])
         if moved < SETTINGS.settled:
             break
-    return [replace(each, settled=moved < SETTINGS.rough) for each in errors], corrected, again
+    found = zip(errors, again.values[count:].tolist(), again.std[count:].tolist(), strict=True)
+    sized = [replace(error, test=replace(error.test, size=size, std=std)) for error, size, std in found]
+    return [replace(each, settled=moved < SETTINGS.rough) for each in sized], corrected, again
+
+
+def _simulating(problem: LeastSquares, errors: Sequence[ModelError], sizes: Floats) -> tuple[LeastSquares, Floats]:
+    """Return a problem that simulates corrected fixed parameters, and their sizes (m,)."""
+    fixed = np.array([each.test.direction.kind is ErrorKind.FIXED for each in errors])
+    if not fixed.any() or not isinstance(problem, Problem):
+        return problem, np.zeros(len(errors))
+    wrong = [each.test.direction for each in errors if each.test.direction.kind is ErrorKind.FIXED]
+    shares = zip(wrong, sizes[fixed].tolist(), strict=True)
+    values = {each.subject[0]: each.value * (1.0 + share) for each, share in shares}
+    return problem.holding(values).finer(problem.refinement), np.where(fixed, sizes, 0.0)
+
+
+def _in_share(direction: Direction, error: ModelError) -> Direction:
+    """Return the direction of a fixed parameter in shares of its given value."""
+    given = error.test.direction.value
+    return direction if math.isnan(given) else replace(direction, column=direction.column * given / direction.value)
 
 
 def _likelihoods(problem: LeastSquares, results: Sequence[Result]) -> Floats:

@@ -10,6 +10,7 @@ import numpy as np
 from fmuid.estimation import Doubt
 from fmuid.formatting import listed, two_digits, unit_text, with_std
 from fmuid.identification import DataDefect, DefectKind, DirectedTest, Direction, ErrorKind, ModelError, ModelErrors
+from fmuid.identification.model_errors import OUTPUT_DELAYS
 from fmuid.reports.chart import Axis, Chart, Data, Layer, rows_of
 from fmuid.reports.document import DETAIL, PAGE, Message, Remark, Section, doubt, plain, table_of_rows
 
@@ -26,15 +27,28 @@ class ModelErrorMessage(Message, section="hiding"):
     """Model errors that the directed tests name, by `ErrorKind`."""
 
     DELAY = doubt("{first} late by {size}", "sensor filters, or channels sampled one after the other", "Set the delay.")
-    ADVANCE = doubt("{first} early by {size}", "the clock of the outputs runs ahead", "Shift the time of {first}.")
+    ADVANCE = doubt(
+        "{first} early by {size}",
+        "the clock of the outputs runs ahead, or a fast path such as eddy currents is not modeled",
+        "Shift the time of {first}, or model the path.",
+    )
+    LAG = doubt("{first} lags by {size}", "a sensor's filter, or a part that stores energy", "Model the filter.")
+    CLOCK = doubt(
+        "{first} late by {size} at the end", "clocks of different rates, or lost samples", "Record with one clock."
+    )
     INPUT_DELAY = doubt("{first} late by {size}", "the input acts later than recorded", "Shift the time of {first}.")
     INPUT_ADVANCE = doubt("{first} early by {size}", "the input acts before its record", "Shift the time of {first}.")
     INTERPOLATION = doubt(
         "interpolation of {first} is wrong", "held where linear was assumed, or the reverse", "Change `interpolation`."
     )
     OFFSET = doubt("offset of {first} is {size}", "a sensor's zero", "Remove it with `preprocess`, or free it.")
+    ZERO_DRIFT = doubt("offset of {first} grows by {size}", "a sensor's zero drifts", "Remove it with `preprocess`.")
     INPUT_OFFSET = doubt("offset of {first} is {size}", "a sensor's zero", "Remove it with `preprocess`.")
     GAIN = doubt("gain of {first} is off by {size}", "a sensor's calibration", "Calibrate {first}.")
+    NONLINEARITY = doubt(
+        "gain of {first} falls by {size} at its largest value", "a sensor near its range", "Calibrate {first}."
+    )
+    HYSTERESIS = doubt("{first} lacks {size} against its slope", "play, or remanence of a sensor", "Check the sensor.")
     INPUT_GAIN = doubt("gain of {first} is off by {size}", "a sensor's calibration", "Calibrate {first}.")
     JOINT = doubt("the line of {first} has {size} more", "a joint or contact", "Check it, or set `phase_resistance`.")
     DEAD_TIME = doubt(
@@ -114,7 +128,7 @@ def error_names(direction: Direction) -> str:
 
 def _fields(kind: ErrorKind, subject: Sequence[str], size: str) -> dict[str, str]:
     half = len(subject) // 2
-    whole = kind in (ErrorKind.DELAY, ErrorKind.ADVANCE, ErrorKind.INTERPOLATION)
+    whole = kind in (*OUTPUT_DELAYS, ErrorKind.INTERPOLATION)
     return {
         "first": _joined(subject if whole else subject[:1]),
         "others": _joined(subject[1:]),
