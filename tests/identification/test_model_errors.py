@@ -124,7 +124,7 @@ SIZES = {ErrorKind.DELAY: 0.5, ErrorKind.CLOCK: 0.5, ErrorKind.LAG: 1.0}  # of s
 
 
 def direction(rises: Floats) -> Floats:
-    return np.tanh(rises / (0.02 * np.abs(rises).max()))
+    return np.asarray(np.tanh(rises / (0.02 * np.abs(rises).max())))
 
 
 def lagging(u: Floats, samples: float) -> Floats:
@@ -132,13 +132,14 @@ def lagging(u: Floats, samples: float) -> Floats:
     found = fine_states(
         u[None], lambda _, x, v: np.stack([(v - R * x[0]) / L, (x[0] - x[1]) / (samples * STEP)]), states=2
     )
-    return read(found[1])[0]
+    return np.asarray(read(found[1])[0])
 
 
 def slower(u: Floats, samples: float) -> Floats:
     """Return the current read late by a delay that grows to these samples."""
     fine = fine_states(u[None], plain)[0, 0]
-    return np.interp(TIMES - samples * STEP * TIMES / TIMES[-1], STEP / SUBSTEPS * np.arange(len(fine)), fine)
+    moved = TIMES - samples * STEP * TIMES / TIMES[-1]
+    return np.asarray(np.interp(moved, STEP / SUBSTEPS * np.arange(len(fine)), fine))
 
 
 def integrated_linear(u: Floats, share: float) -> Floats:

@@ -68,7 +68,7 @@ def read(found: Floats, late: float = 0.0) -> Floats:
 
 
 def _of(rate: Rate, **how: bool) -> Callable[[Floats], Floats]:
-    return lambda u: read(integrated(u, rate, **how)[0])  # type: ignore[arg-type]
+    return lambda u: read(integrated(u, rate, **how)[0])
 
 
 def _dead(share: float) -> Scene:
@@ -127,7 +127,7 @@ def _hysteretic(u: Floats) -> Floats:
 
 def _cubic(u: Floats) -> Floats:
     i = read(integrated(u, plain)[0])
-    return i - 0.05 * i**3 / np.abs(i).max() ** 2
+    return np.asarray(i - 0.05 * i**3 / np.abs(i).max() ** 2)
 
 
 def _lost(u: Floats) -> Floats:
