@@ -296,7 +296,7 @@ def _simulating(problem: LeastSquares, errors: Sequence[ModelError], sizes: Floa
 
 
 def _in_share(direction: Direction, error: ModelError) -> Direction:
-    """Return the direction of a fixed parameter in shares of its given value."""
+    """Return a fixed parameter's direction in shares of its given value."""
     given = error.test.direction.value
     return direction if math.isnan(given) else replace(direction, column=direction.column * given / direction.value)
 
