@@ -13,7 +13,17 @@ from fmuid.array_types import Floats
 from fmuid.codec import Layout
 
 LEVEL = 0.01  # false alarms of all directed tests together
-PLAUSIBLE = 20.0  # usual sizes: a dead time of 20 % of the voltage, a gain of 20 %, ten samples late
+
+
+@dataclass(frozen=True)
+class ModelErrorSettings:
+    """Prior odds of model errors."""
+
+    plausible: float = 20.0  # usual sizes: a dead time of 20 % of the voltage, a gain of 20 %, ten samples late
+    rare_odds: float = -2.0  # ln of the odds of rare errors, and of sizes that are not plausible
+
+
+SETTINGS = ModelErrorSettings()
 
 
 class ErrorKind(Enum):
@@ -76,7 +86,6 @@ ACAUSAL = frozenset({ErrorKind.ADVANCE, ErrorKind.INPUT_ADVANCE})
 """Effects before their causes: a clock, or a path that the model lacks."""
 RARE = frozenset({ErrorKind.LAG, ErrorKind.CLOCK, ErrorKind.ZERO_DRIFT, ErrorKind.NONLINEARITY, ErrorKind.HYSTERESIS})
 """Errors that are thought of where usual ones explain less."""
-RARE_ODDS = -2.0  # ln of their prior odds
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +176,7 @@ class DirectedTest:
         """Odds of such an error and size; interpolation is one or the other, and has a size of 1."""
         if self.direction.kind is ErrorKind.INTERPOLATION:
             return -0.5 * ((self.size - 1.0) / self.std) ** 2
-        return RARE_ODDS * ((self.direction.kind in RARE) + (not self.is_plausible))
+        return SETTINGS.rare_odds * ((self.direction.kind in RARE) + (not self.is_plausible))
 
     @property
     def evidence(self) -> float:
@@ -182,7 +191,7 @@ class DirectedTest:
     @property
     def is_plausible(self) -> bool:
         """True if an error has such a size."""
-        return abs(self.size) <= PLAUSIBLE * self.direction.usual
+        return abs(self.size) <= SETTINGS.plausible * self.direction.usual
 
 
 @dataclass(frozen=True, eq=False)
