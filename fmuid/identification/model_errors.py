@@ -57,6 +57,11 @@ class ErrorKind(Enum):
         """True if the size is a share, printed in %."""
         return self in _RELATIVE
 
+    @property
+    def is_output_delay(self) -> bool:
+        """True for errors in the time of an output, or of all."""
+        return self in OUTPUT_DELAYS
+
 
 _RELATIVE = frozenset(
     {

@@ -10,7 +10,6 @@ import numpy as np
 from fmuid.estimation import Doubt
 from fmuid.formatting import listed, two_digits, unit_text, with_std
 from fmuid.identification import DataDefect, DefectKind, DirectedTest, Direction, ErrorKind, ModelError, ModelErrors
-from fmuid.identification.model_errors import OUTPUT_DELAYS
 from fmuid.reports.chart import Axis, Chart, Data, Layer, rows_of
 from fmuid.reports.document import DETAIL, PAGE, Message, Remark, Section, doubt, plain, table_of_rows
 
@@ -128,7 +127,7 @@ def error_names(direction: Direction) -> str:
 
 def _fields(kind: ErrorKind, subject: Sequence[str], size: str) -> dict[str, str]:
     half = len(subject) // 2
-    whole = kind in (*OUTPUT_DELAYS, ErrorKind.INTERPOLATION)
+    whole = kind.is_output_delay or kind is ErrorKind.INTERPOLATION
     return {
         "first": _joined(subject if whole else subject[:1]),
         "others": _joined(subject[1:]),
