@@ -316,7 +316,7 @@ def content_of(path: Path, schema_name: str, remedy: str) -> dict[str, Any]:
     return dict(content)
 
 
-def decoded(path: Path, content: Mapping[str, Any], kind: type[Item], remedy: str) -> Item:
+def decoded(path: Path, content: Any, kind: type[Item], remedy: str) -> Item:
     """Return the value of a file's content; errors as in `read`."""
     try:
         return from_json(kind, content)

@@ -17,7 +17,7 @@ import fmuid
 from fmuid.codec import as_json
 from fmuid.data import Experiment
 from fmuid.errors import FmuidError
-from fmuid.runs import read_identification
+from fmuid.runs import read_fits
 from fmuid.runs.faults import build_monitor, rule_of
 from tests.support.fuzz_spoil import mutated, spoil_tree
 from tests.support.paths import FMUS, ROOT
@@ -79,7 +79,7 @@ def change_arrays(rng: Random, data: bytes) -> bytes:
 
 
 def read_result(folder: Path, _: Experiment) -> None:
-    read_identification(folder / "healthy")
+    read_fits(folder / "healthy")
     result = fmuid.Result.from_json(folder / "healthy/result.json")
     assert repr(result)
     assert str(fmuid.Document.of(result))

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from fmuid.errors import InputError
 from fmuid.files import is_file, is_folder, replacing
-from fmuid.formatting import listed
 from fmuid.reports.document import Document, Section
 from fmuid.reports.render.document_json import DOCUMENT_FILE, kept_documents, read_documents, write_documents
 
@@ -53,25 +52,13 @@ def _write_page(folder: Path, documents: Iterable[Document]) -> Path:
 
 
 def documents_of(folder: Path) -> dict[str, Document]:
-    """Return the documents of a folder by their kind."""
-    if is_file(folder / DOCUMENT_FILE):
-        return read_documents(folder)
+    """Return the documents of a folder by their kind; a monitoring that still runs has none yet."""
     from fmuid import runs
     from fmuid.reports.documents import document
 
-    readers: dict[str, Callable[[Path], object]] = {
-        "result.json": runs.read_identification,
-        "diagnosis.json": runs.read_diagnosis,
-        "monitoring.json": runs.read_monitoring,
-        "prediction.json": runs.read_prediction,
-        "comparison.json": runs.read_comparison,
-    }
-    found = [document(read(folder)) for name, read in readers.items() if is_file(folder / name)]
-    if not found:
-        raise InputError(
-            f"{folder} has no {listed([DOCUMENT_FILE, *readers])}: give the folder that a command has written into"
-        )
-    return {each.kind: each for each in found}
+    if is_file(folder / DOCUMENT_FILE) or not is_file(folder / runs.MONITORING_FILE):
+        return read_documents(folder)
+    return {"monitoring": document(runs.read_monitoring(folder))}
 
 
 def write_figures(folder: Path, sections: Sequence[Section], kind: str) -> list[Path]:

@@ -36,9 +36,8 @@ from .findings import PredictionRun as PredictionRun
 from .findings import PreprocessedTable as PreprocessedTable
 from .findings import Provenance as Provenance
 from .findings import at_minimum as at_minimum
-from .folder import read_comparison as read_comparison
-from .folder import read_diagnosis as read_diagnosis
-from .folder import read_identification as read_identification
+from .folder import MONITORING_FILE as MONITORING_FILE
+from .folder import read_fits as read_fits
 from .folder import read_monitoring as read_monitoring
 from .folder import read_prediction as read_prediction
 from .folder import read_table as read_table

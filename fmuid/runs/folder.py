@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +15,11 @@ import pandas as pd
 from fmuid import codec
 from fmuid.array_types import Floats
 from fmuid.errors import InputError
-from fmuid.estimation import RESULT_SCHEMA, Iteration
-from fmuid.files import file_name, is_folder, with_formulas, write_table
+from fmuid.estimation import RESULT_SCHEMA
+from fmuid.files import file_name, with_formulas, write_table
 from fmuid.runs.findings import ComparisonRun, DiagnosisRun, IdentificationRun, MonitoringRun, PredictionRun
 from fmuid.runs.preprocessing import write_some
+from fmuid.simulation import OutputFit
 
 RESULT_FILE = "result.json"
 DIAGNOSIS_FILE = "diagnosis.json"
@@ -32,10 +33,7 @@ RESIDUALS_FILE = "diagnosis-residuals.csv"
 # Tables of an identification: those of an earlier run would be taken for this one's.
 _TABLES = ("trace", "fit", "diagnostics", "optima", "preparation", "profiles", "posterior", "map-*")
 # Columns of texts, which pandas would take for numbers or missing values where they look like it.
-_TEXTS = (
-    *("parameter", "unit", "experiment", "output", "with", "moved_by", "profiled", "column"),
-    *("record", "significant", "alarm"),
-)
+_TEXTS = ("experiment", "column", "record", "significant", "alarm")
 _AGAIN = "run fmuid identify again"
 
 
@@ -81,30 +79,24 @@ def write_identification(folder: Path, found: IdentificationRun) -> list[Path]:
     return written
 
 
-def read_identification(place: Path) -> IdentificationRun:
-    """Read a ``result.json`` with its tables, without linearization and burn-in."""
-    path = place / RESULT_FILE if is_folder(place) else place
-    folder = path.parent
+@dataclass(frozen=True)
+class _Fits:
+    """The fits in a ``result.json``, and nothing else of it."""
+
+    fits: tuple[OutputFit, ...] = ()
+
+
+def read_fits(folder: Path) -> tuple[OutputFit, ...]:
+    """Return the fits of an identification, with their samples."""
+    path = folder / RESULT_FILE
     content = codec.content_of(path, RESULT_SCHEMA, _AGAIN)
-    codec.decoded(path, content, IdentificationRun, _AGAIN)  # its own errors first
-    with _fitting(folder / RESULT_FILE, _AGAIN):
-        _fill(content, folder)
-    found = codec.decoded(path, content, IdentificationRun, _AGAIN)
-    return replace(found, result=found.result.located(path))
-
-
-def _fill(content: dict[str, Any], folder: Path) -> None:
-    """Put the content of tables into the content of the JSON file."""
-    fits, checks = content.get("fits", []), content.get("assessment") or {}
-    if (folder / "fit.csv").is_file() and fits:
-        _fill_fits(fits, read_table(folder / "fit.csv"))
-    elif fits:
-        content["fits"] = []
-    _fill_residuals(checks.get("residuals"), fits)
-    if (folder / "trace.csv").is_file() and content.get("history"):
-        content["history"]["trace"] = _iterations(content, read_table(folder / "trace.csv"))
-    content["prepared"] = _with_tables(content.get("prepared", []), folder / "preparation.csv")
-    _fill_assessment(checks, folder)
+    codec.decoded(path, content, _Fits, _AGAIN)  # its own errors first
+    table = path.with_name("fit.csv")
+    if not table.is_file():
+        return ()
+    with _fitting(path, _AGAIN):
+        _fill_fits(content.get("fits", ()), read_table(table))
+    return codec.decoded(path, content, _Fits, _AGAIN).fits
 
 
 @contextmanager
@@ -140,43 +132,6 @@ def _values(rows: pd.DataFrame, kind: str, names: Sequence[str]) -> Floats:
     return rows[[f"{kind}.{name}" for name in names]].to_numpy(np.float64)
 
 
-def _fill_residuals(diagnostics: Mapping[str, Any] | None, fits: Sequence[Mapping[str, Any]]) -> None:
-    """Put the samples of each residual into its series."""
-    for series in (diagnostics or {}).get("series", ()):
-        own = series["noise"]["series"]
-        own["rows"] = own["places"] = np.arange(series["samples"])
-        fit = next((each for each in fits if each["experiment"] == own["experiment"] and "times" in each), None)
-        if fit is not None:
-            j = fit["outputs"].index(own["output"])
-            counted = fit["counted"][:, j]
-            residual = np.where(counted, fit["measured"][:, j] - fit["simulated"][:, j], np.nan)
-            series["times"], series["residual"] = fit["times"], residual
-
-
-def _iterations(content: Mapping[str, Any], trace: pd.DataFrame) -> tuple[tuple[int, Iteration], ...]:
-    thetas = trace[list(content["parameters"])].to_numpy(np.float64)
-    columns = [trace[name].tolist() for name in ("round", "iteration", "cost", "damping", "accepted")]
-    return tuple(
-        (int(number), Iteration(int(k), criterion, damping, bool(accepted), theta, math.nan, math.nan, False))
-        for number, k, criterion, damping, accepted, theta in zip(*columns, thetas, strict=True)
-    )
-
-
-def _fill_assessment(content: dict[str, Any], folder: Path) -> None:
-    for chart in content.get("maps", ()):
-        chart["table"] = read_table(folder / f"{_map_name(chart['names'])}.csv")
-    if content.get("profiles"):
-        points = read_table(folder / "profiles.csv")
-        for each in content["profiles"]:
-            own = points[points["profiled"] == each["name"]]
-            each["table"] = own.drop(columns="profiled").reset_index(drop=True)
-    if content.get("posterior"):
-        samples, found = read_table(folder / "posterior.csv").to_numpy(np.float64), content["posterior"]
-        chain = np.full((found["steps"], found["walkers"], samples.shape[1]), np.nan)
-        chain[found["burn"] :] = samples.reshape(-1, *chain.shape[1:])
-        found["chain"], found["log_density"] = chain, np.full(chain.shape[:2], np.nan)
-
-
 def write_diagnosis(folder: Path, found: DiagnosisRun) -> list[Path]:
     """Write ``diagnosis.json`` and the tables of a diagnosis; return their paths."""
     from fmuid.diagnosis import DIAGNOSIS_SCHEMA  # and all that decides
@@ -186,18 +141,6 @@ def write_diagnosis(folder: Path, found: DiagnosisRun) -> list[Path]:
     written += write_some(folder / PREPARED_FILE, (each.table for each in found.prepared))
     residuals = found.diagnosis.residuals if found.diagnosis.evidence.explanations else None
     return written + write_some(folder / RESIDUALS_FILE, [] if residuals is None else [residuals])
-
-
-def read_diagnosis(folder: Path) -> DiagnosisRun:
-    """Read the files of `write_diagnosis`; the fit itself is not kept."""
-    from fmuid.diagnosis import DIAGNOSIS_SCHEMA
-
-    path, again = folder / DIAGNOSIS_FILE, "run fmuid diagnose again"
-    content = codec.content_of(path, DIAGNOSIS_SCHEMA, again)
-    content["prepared"] = _with_tables(content.get("prepared", []), folder / PREPARED_FILE)
-    if (folder / RESIDUALS_FILE).is_file():
-        content["residuals"] = read_table(folder / RESIDUALS_FILE)
-    return codec.decoded(path, content, DiagnosisRun, again)
 
 
 def read_monitoring(folder: Path) -> MonitoringRun:
@@ -239,7 +182,6 @@ def read_prediction(folder: Path) -> PredictionRun:
             fit = each["fit"]
             each["std"] = _values(rows, "std", fit["outputs"])
             each["half_width"] = _values(rows, "upper", fit["outputs"]) - fit["simulated"]
-            _fill_residuals(each["residuals"], [fit])
     return codec.decoded(path, content, PredictionRun, again)
 
 
@@ -250,11 +192,6 @@ def write_comparison(folder: Path, found: ComparisonRun) -> ComparisonRun:
         write_table(folder / "comparison.csv", found.table),
     )
     return replace(found, files=written)
-
-
-def read_comparison(folder: Path) -> ComparisonRun:
-    """Read the files of `write_comparison`."""
-    return codec.read(folder / COMPARISON_FILE, COMPARISON_SCHEMA, ComparisonRun, "run fmuid compare again")
 
 
 def read_table(path: Path) -> pd.DataFrame:

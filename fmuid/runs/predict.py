@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from fmuid import codec
 from fmuid.data import Experiment, Parameter, is_quantity, record_files
 from fmuid.errors import InputError, check_kind
-from fmuid.estimation import Result
+from fmuid.estimation import RESULT_SCHEMA, Result
 from fmuid.events import Progress
 from fmuid.formatting import nearest
 from fmuid.identification import (
@@ -28,8 +29,8 @@ from fmuid.identification import (
     refinement_of,
 )
 from fmuid.models import FMU, System
-from fmuid.runs.findings import CommonTables, ComparedEstimate, ComparisonRun, Fold, PredictionRun
-from fmuid.runs.folder import RESULT_FILE, read_identification
+from fmuid.runs.findings import CommonTables, ComparedEstimate, ComparisonRun, Fold, IdentificationRun, PredictionRun
+from fmuid.runs.folder import RESULT_FILE
 from fmuid.runs.provenance import digests, made_from, made_now, result_path, study_of
 from fmuid.simulation import OutputFit, Value, finer_simulator, fit_of, simulator_of
 from fmuid.studies import PriorSource, SourceWarning, Study
@@ -302,10 +303,23 @@ def _names(paths: Sequence[Path]) -> list[str]:
     return names
 
 
+@dataclass(frozen=True)
+class _SeriesSize:
+    """Size of a residual in a ``result.json``: samples, and those of its correlation time."""
+
+    samples: int
+    correlation_samples: float
+
+
+_AGAIN = "run fmuid identify again"
+
+
 def _candidate(path: Path, name: str) -> ModelCandidate:
-    kept = read_identification(path)
-    series = () if kept.assessment.residuals is None else kept.assessment.residuals.series
+    content = codec.content_of(path, RESULT_SCHEMA, _AGAIN)
+    kept = codec.decoded(path, content, IdentificationRun, _AGAIN)
+    sizes = [] if kept.assessment.residuals is None else content["assessment"]["residuals"]["series"]
+    series = codec.decoded(path, sizes, tuple[_SeriesSize, ...], _AGAIN)
     worth = sum(each.samples / max(1.0, np.nan_to_num(each.correlation_samples, nan=1.0)) for each in series)
     dependence = sum(each.samples for each in series) / worth if worth else math.nan
     held = None if kept.origin is None else study_of(path).model.values
-    return ModelCandidate(name, kept.result, dependence, held)
+    return ModelCandidate(name, Result.from_json(path), dependence, held)

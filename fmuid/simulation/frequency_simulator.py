@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -14,7 +13,6 @@ from fmuid.formatting import nearest
 from fmuid.models import Phasors, System
 from fmuid.simulation.point_model import PointModel
 from fmuid.simulation.point_simulator import PointSimulator
-from fmuid.simulation.simulation_task import Value
 from fmuid.simulation.steady_simulator import REASONS, unit_factor
 from fmuid.simulation.steady_state import SteadyIssue, find_steady_states, is_at_rest
 from fmuid.units import parse_unit
@@ -28,15 +26,8 @@ class FrequencySimulator(PointSimulator):
 
     experiment: FrequencyExperiment
 
-    def __init__(
-        self,
-        system: System,
-        experiment: FrequencyExperiment,
-        parameters: Sequence[str] = (),
-        *,
-        values: Mapping[str, Value] | None = None,
-    ) -> None:
-        super().__init__(system, experiment, parameters, values=values)
+    def _prepare(self) -> None:
+        experiment = self.experiment
         excited = {name: self._excited(name, each) for name, each in experiment.responses.items()}
         self.seeds = tuple(dict.fromkeys(excited.values()))
         ratios = {name: each.signals for name, each in experiment.responses.items()}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,10 +10,9 @@ import numpy as np
 from fmuid.array_types import Floats
 from fmuid.data import SteadyExperiment
 from fmuid.errors import InputError
-from fmuid.models import PHASOR_FORMULAS, OperatingPhasors, Phasors, System
+from fmuid.models import PHASOR_FORMULAS, OperatingPhasors, Phasors
 from fmuid.simulation.point_model import PointModel, StateSpace
 from fmuid.simulation.point_simulator import PointSimulator
-from fmuid.simulation.simulation_task import Value
 from fmuid.simulation.steady_simulator import in_data_units, is_formula, terminals_of, unit_factor, values_of_formulas
 
 
@@ -33,15 +31,8 @@ class PhasorSimulator(PointSimulator):
 
     experiment: SteadyExperiment
 
-    def __init__(
-        self,
-        system: System,
-        experiment: SteadyExperiment,
-        parameters: Sequence[str] = (),
-        *,
-        values: Mapping[str, Value] | None = None,
-    ) -> None:
-        super().__init__(system, experiment, parameters, values=values)
+    def _prepare(self) -> None:
+        system, experiment = self.system, self.experiment
         assert experiment.supply is not None, "of such an experiment"
         found = terminals_of(system, experiment, ())
         assert found is not None, "refused without one"

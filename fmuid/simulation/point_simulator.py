@@ -49,6 +49,7 @@ class PointSimulator(ABC):
         self.system, self.experiment, self.parameters = system, experiment, tuple(parameters)
         self._values = dict(values or {})
         self.held: dict[str, Value] = {**self._values, **experiment.values}
+        self._prepare()
 
     @property
     def output_names(self) -> tuple[str, ...]:
@@ -80,6 +81,10 @@ class PointSimulator(ABC):
                 errors[i] = SimulationError(self.system.label, np.nan, named, f"{self.experiment.source}: {reason}")
                 outputs[i] = np.nan
         return Simulations(outputs, tuple(errors))
+
+    @abstractmethod
+    def _prepare(self) -> None:
+        """Check the names of the experiment, and load the model."""
 
     @abstractmethod
     def _compute(self, thetas: Floats) -> tuple[Floats, list[str]]:

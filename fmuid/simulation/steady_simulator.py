@@ -15,7 +15,7 @@ from fmuid.models import PHASOR_FORMULAS, MachineTerminals, OperatingPhasors, Sy
 from fmuid.simulation.point_model import ModelOfPoints, PointModel
 from fmuid.simulation.point_simulator import PointSimulator
 from fmuid.simulation.settled_simulation import SettledSimulation
-from fmuid.simulation.simulation_task import Value, column_conversion
+from fmuid.simulation.simulation_task import column_conversion
 from fmuid.simulation.steady_state import SteadyIssue, SteadyStates, find_steady_states, first_issue
 from fmuid.units import parse_unit
 
@@ -37,15 +37,8 @@ class SteadySimulator(PointSimulator):
 
     experiment: SteadyExperiment
 
-    def __init__(
-        self,
-        system: System,
-        experiment: SteadyExperiment,
-        parameters: Sequence[str] = (),
-        *,
-        values: Mapping[str, Value] | None = None,
-    ) -> None:
-        super().__init__(system, experiment, parameters, values=values)
+    def _prepare(self) -> None:
+        system, experiment = self.system, self.experiment
         self.formulas = tuple(name for name in self.output_names if is_formula(system, name))
         self.terminals = terminals_of(system, experiment, self.formulas)
         self.signals = [name for name in self.output_names if name not in self.formulas]

@@ -13,7 +13,7 @@ from fmuid.reports.chart import LIMITS
 from fmuid.reports.documents import document
 from fmuid.reports.topics.preprocessing import preparation_words, preprocessing_sections
 from fmuid.runs import log_follower as follower
-from fmuid.runs import read_diagnosis, read_identification, read_monitoring
+from fmuid.runs import read_monitoring
 from fmuid.runs.faults import MonitoredTables
 from fmuid.studies import ExperimentSettings, Study
 from tests.support.coil_study import COIL, coil_table
@@ -80,7 +80,7 @@ def counted_reads(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
 def test_report_shows_preprocessing(study: Study, tmp_path: Path) -> None:
     found = run_study(study, tmp_path, report=True)
     assert tmp_path / "preparation.csv" in found.files
-    cut, mean = preprocessing_sections(read_identification(tmp_path).prepared, several=True)
+    cut, mean = preprocessing_sections(found.prepared, several=True)
     assert (cut.heading[-5:], cut.key, mean.key) == (": cut", "preparation", "preparation-2")
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     for caption, parts in ((cut.caption, ("current = shunt / 50", "0.1 s", "0.4 s")), (mean.caption, ("i: mean",))):
@@ -102,7 +102,7 @@ def test_diagnosis_and_monitoring_show_preprocessing(tmp_path: Path, monkeypatch
 
     found = run_diagnosis(Study.of(words, tmp_path / "test.toml"), tmp_path / "out")
     assert tmp_path / "out" / "diagnosis-preparation.csv" in found.files
-    (caption,) = captions(read_diagnosis(tmp_path / "out"))
+    (caption,) = captions(found)
     assert "0.1 s" in caption
     study = Study.of(words | {"monitoring": {"false_alarm_rate": 0.01}}, tmp_path / "test.toml")
     second = shutil.copy(test.path, tmp_path / "second.csv")

@@ -11,8 +11,9 @@ import pytest
 import fmuid
 from fmuid import codec, files
 from fmuid.apps.cli.options import DONE
+from fmuid.estimation import RESULT_SCHEMA
 from fmuid.events import Event, GlobalStep, ProfileStep, Progress, SearchStep
-from fmuid.runs import identified, read_identification
+from fmuid.runs import IdentificationRun, identified
 from tests.support.coil_study import STUDY, coil_table, fmuid_, result
 from tests.support.running import run_study
 
@@ -103,4 +104,5 @@ def test_interrupted_run_keeps_what_is_known(study: Path, tmp_path: Path) -> Non
     written = json.loads((tmp_path / "out/result.json").read_text())
     assert written["parameters"]["R"]["value"] == found.result["R"]
     assert {path.name for path in found.files} == {"result.json", "estimates.csv", "document.json"}
-    assert codec.as_json(read_identification(tmp_path / "out")) == codec.as_json(found)
+    again = codec.read(tmp_path / "out/result.json", RESULT_SCHEMA, IdentificationRun, "")
+    assert codec.as_json(again) == codec.as_json(found)

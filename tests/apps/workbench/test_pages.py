@@ -27,10 +27,11 @@ from fmuid.apps.workbench.pages.results import PredictAction, WriteAction, _comp
 from fmuid.apps.workbench.project_folder import FoundResult, FoundStudy
 from fmuid.estimation import Result
 from fmuid.events import EVENTS, BatchStep, Event, GlobalStep, SearchStep, of_line
-from fmuid.reports.render.document_json import read_documents
+from fmuid.reports.documents import document
+from fmuid.reports.render.document_json import read_documents, write_documents
 from fmuid.reports.render.progress import Display
 from fmuid.reports.topics.fit import fit_charts
-from fmuid.runs import CaseList, made_from
+from fmuid.runs import CaseList, IdentificationRun, made_from
 from fmuid.runs.batch.study_package import BatchStudy
 from fmuid.simulation import OutputFit
 from fmuid.studies import Study
@@ -86,6 +87,11 @@ def test_first_page_lists_studies_and_results(tmp_path: Path) -> None:
     assert ">running<" in _studies(folder, studies, results, {(tmp_path / "a/study.toml").resolve()})
 
 
+def described(path: Path) -> None:
+    """Write the document of a result."""
+    write_documents(path.parent, {"identification": document(IdentificationRun(fmuid.Result.from_json(path)))})
+
+
 def test_results_lead_to_remedies(tmp_path: Path) -> None:
     for k, name in enumerate(("first.csv", "other.csv")):
         coil_table(tmp_path / name, 0.0, seed=k)
@@ -96,7 +102,8 @@ def test_results_lead_to_remedies(tmp_path: Path) -> None:
     run = Study.read(path, given)
     for name, std in (("open", None), ("known", 0.1)):
         (tmp_path / name).mkdir()
-        result(tmp_path / name, {"R": (4.0, 0.1), "L": (0.1, std)}, origin=made_from(run, folder=tmp_path / name))
+        origin = made_from(run, folder=tmp_path / name)
+        described(result(tmp_path / name, {"R": (4.0, 0.1), "L": (0.1, std)}, origin=origin))
     doc = asked_for("open")
     build(doc, bench_of(tmp_path))
     text = "".join(each for each, _ in doc.template_variables["pieces"])
@@ -126,7 +133,7 @@ def test_figures_of_results_have_places_on_their_page(tmp_path: Path) -> None:
     names = ("first", "second")
     for name in names:
         (tmp_path / name).mkdir()
-        result(tmp_path / name, {"R": (4.0, 0.1), "L": (0.1, 0.01)})
+        described(result(tmp_path / name, {"R": (4.0, 0.1), "L": (0.1, 0.01)}))
     for asked in (names[:1], names):
         doc = asked_for(*asked)
         build(doc, bench_of(tmp_path))

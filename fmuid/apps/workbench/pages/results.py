@@ -38,7 +38,7 @@ from fmuid.reports.render.style import DARK
 from fmuid.reports.topics.fit import fit_sections, worst
 from fmuid.reports.topics.model_comparison import estimate_charts
 from fmuid.reports.topics.prediction import prediction_fits
-from fmuid.runs import estimate_rows, read_identification, read_prediction
+from fmuid.runs import estimate_rows, read_fits, read_prediction
 from fmuid.studies import read_toml
 
 REMEDIES = "remedies"  # place of the remedies
@@ -107,7 +107,7 @@ def _zoomed(doc: Any, place: Path, documents: Sequence[Document]) -> list[str]:
     found: list[tuple[Section, Floats]] = []
     for each in documents:
         if each.kind == "identification":
-            fits = read_identification(place).fits
+            fits = read_fits(place)
             found += zip(fit_sections(fits), (fit.times for fit in worst(fits)), strict=True)
         elif each.kind == "prediction":
             predicted = read_prediction(place)
