@@ -16,7 +16,7 @@ import fmuid
 from fmuid.array_types import Floats
 from fmuid.data import Parameter, Sensor
 from fmuid.identification import find_model_errors
-from tests.support.winding_machine import MACHINE, STUDY_AXES, currents, excitation, record, to_phases
+from tests.support.winding_machine import MACHINE, STUDY_AXES, Condition, excitation, record, tables
 
 FMU = "fmus/InductionMachine/InductionMachine.fmu"
 NOISE, COUNT = 0.1, 1500
@@ -40,17 +40,15 @@ def draws(count: int) -> Iterator[tuple[pd.DataFrame, Floats]]:
     """Yield tables of machines with errors, and the true values."""
     for seed in range(-(-count // EACH)):
         rng, members = np.random.default_rng([21, seed]), min(EACH, count - seed * EACH)
-        times, speed, angle, axes = excitation(COUNT, 100 + seed)
         joint, dead = rng.uniform(0.0, 0.9, members), rng.uniform(0.0, 3.0, members)
-        found = currents(times, speed, angle, axes, np.outer(joint, [1.0, 0.0, 0.0]), dead)
-        for k in range(members):
-            offset, gain, delay = 0.1 * rng.standard_normal(), 1.0 + 0.03 * rng.standard_normal(), rng.uniform(0, 3e-4)
-            frame = pd.DataFrame({"time": times, "w": speed, "theta": angle})
-            frame[["ua", "ub", "uc"]] = to_phases(axes, angle)
-            late = CubicSpline(times, found[k, :, 1])(np.maximum(times - delay, 0.0))
-            noise = NOISE * rng.standard_normal((2, COUNT))
-            frame["ia"], frame["ib"] = found[k, :, 0] + offset + noise[0], gain * late + noise[1]
-            yield frame, np.array([*MACHINE.values(), offset, gain, delay, joint[k], dead[k]])
+        errors = [(0.1 * rng.standard_normal(), 0.03 * rng.standard_normal(), rng.uniform(0, 3e-4)) for _ in joint]
+        off = [
+            Condition((r, 0.0, 0.0), v, offset=(o, 0.0), gain=(0.0, g), delay=(0.0, d))
+            for r, v, (o, g, d) in zip(joint, dead, errors, strict=True)
+        ]
+        for k, frame in enumerate(tables([excitation(COUNT, 100 + seed)] * members, off, NOISE, 100 + seed)):
+            offset, gain, delay = errors[k]
+            yield frame, np.array([*MACHINE.values(), offset, 1.0 + gain, delay, joint[k], dead[k]])
 
 
 def scores(count: int) -> Floats:

@@ -1,17 +1,20 @@
 """An induction machine in its three windings, integrated by scipy: no model of this package.
 
 Star point isolated: u_p − e0 sign(i_p) − R_p i_p = v_n + L_f di_p/dt + e_p, Σ i_p = 0; rotor flux in the rotor's axes
-φ' = R_r (i_dq − φ/L_m), e = Tᵀ P(θ) (φ' + w J φ). Several machines are integrated at once.
+φ' = R_r (1 + k n nᵀ) (i_dq − φ/L_m), e = Tᵀ P(θ) (φ' + w J φ); n is the direction of broken bars. Of phase p the share
+μ of the turns is shorted: i_p − μ i_f makes its flux, and the loop with a leakage of its own, a share λ, has
+L_f i_p' − ((1 − λ) μ + λ) L_f i_f' = R_f i_f − R_s (i_p − i_f) − e_p. Several machines are integrated at once.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
-from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
 from fmuid.array_types import Floats
@@ -56,40 +59,88 @@ def excitation(count: int, seed: int = 0) -> tuple[Floats, Floats, Floats, Float
     )
 
 
-def currents(
-    times: Floats,
-    speed: Floats,
-    angle: Floats,
-    axes: Floats,
-    joint: ArrayLike = 0.0,
-    dead_time: ArrayLike = 0.0,
-) -> Floats:
-    """Return line currents (m, K, 3) of m machines with joints (m, 3), Ohm, and dead times (m,), V."""
-    joint = np.atleast_2d(np.asarray(joint, float) + np.zeros(3))
-    dead = np.atleast_1d(np.asarray(dead_time, float))[:, None]
-    joint, dead = (
-        np.broadcast_to(joint, (max(len(joint), len(dead)), 3)),
-        np.broadcast_to(dead, (max(len(joint), len(dead)), 1)),
-    )
+@dataclass(frozen=True)
+class Condition:
+    """What is off in a machine, its sensors and its inverter."""
+
+    joint: tuple[float, float, float] = (0.0, 0.0, 0.0)  # Ohm
+    dead_time: float = 0.0  # V
+    warm: float = 1.0  # of both resistances
+    saturation: float = 0.0  # of L_m at a flux of 1 Vs
+    turns: float = 0.0  # share μ of a phase ...
+    phase: int = 0
+    own: float = 0.3  # ... with this share λ of leakage
+    bars: float = 0.0  # share of the bars, at an angle
+    bars_at: float = 0.0
+    supply: tuple[float, float, float] = (0.0, 0.0, 0.0)  # share of voltage that the table does not show
+    gain: tuple[float, float] = (0.0, 0.0)  # of the sensors
+    offset: tuple[float, float] = (0.0, 0.0)  # A
+    delay: tuple[float, float] = (0.0, 0.0)  # s
+
+
+Drive = tuple[Floats, Floats, Floats, Floats]  # times, speed, angle, voltages of the axes
+STEPS = 4  # of Runge and Kutta in a sampling interval
+CONTACT = 0.02  # resistance of a short circuit over R_s of its turns
+
+
+def currents(drives: Sequence[Drive], conditions: Sequence[Condition]) -> Floats:
+    """Return line currents (m, K, 3) of m machines over drives with the same times."""
+
+    def of(name: str) -> Floats:
+        return np.array([getattr(each, name) for each in conditions], float)
+
+    speed, angle, axes = (np.array([drive[k] for drive in drives]) for k in (1, 2, 3))
     rs, rr, lm, lf = (MACHINE[name] for name in ("Rs", "Rr", "Lm", "Lf"))
-    count = len(joint)
-    turning = CubicSpline(times, angle)
+    turns, warm, saturation, supply = of("turns"), of("warm")[:, None], of("saturation")[:, None], of("supply")
+    resistance, dead, at = rs * warm + of("joint"), of("dead_time")[:, None], np.eye(3)[of("phase").astype(int)]
+    bars = np.stack([np.cos(of("bars_at")), np.sin(of("bars_at"))], axis=-1)
+    more = (2.0 * of("bars") / (3.0 - 2.0 * of("bars")))[:, None]
+    # L di_a, L di_b, L di_c, L di_f, v_n of three phases, the loop and the star point
+    left = np.zeros((len(drives), 5, 5))
+    left[:, :3, :3], left[:, :3, 3], left[:, :3, 4] = np.eye(3), -turns[:, None] * at, 1.0
+    left[:, 3, :3], left[:, 3, 3], left[:, 4, :3] = at, -np.where(turns > 0, turns + of("own") * (1 - turns), 1.0), 1.0
+    inverse, right = np.linalg.inv(left), np.zeros((len(drives), 5))
 
-    def slope(t: float, state: Floats) -> Floats:
-        own = state.reshape(count, 5)
-        i, flux = own[:, :3], own[:, 3:]
-        theta, w = float(turning(t)), float(np.interp(t, times, speed))
-        rotor = rr * (to_axes(i, theta) - flux / lm)
-        back = to_phases(rotor + w * np.stack([-flux[:, 1], flux[:, 0]], axis=-1), theta)
-        volts = np.array([np.interp(t, times, axes[:, 0]), np.interp(t, times, axes[:, 1])])
-        left = to_phases(volts, theta) - dead * np.tanh(i / 0.02) - (rs + joint) * i - back
-        rates = (left - left.mean(axis=1, keepdims=True)) / lf
-        return np.concatenate([rates, rotor], axis=1).ravel()
+    def slope(state: Floats, theta: Floats, w: Floats, volts: Floats) -> Floats:
+        i, loop, flux = state[:, :3], state[:, 3:4], state[:, 4:]
+        shorted = turns[:, None] * loop * at
+        total = lm * (1.0 - saturation * np.minimum((flux**2).sum(-1, keepdims=True), 2.0))
+        slip = to_axes(i - shorted, theta) - flux / total
+        rotor = rr * warm * (slip + more * bars * (bars * slip).sum(-1, keepdims=True))
+        back = to_phases(rotor + w[:, None] * np.stack([-flux[:, 1], flux[:, 0]], axis=-1), theta)
+        given = (1.0 + supply) * to_phases(volts, theta) - dead * np.tanh(i / 0.02)
+        right[:, :3] = given - resistance * i + rs * warm * shorted - back
+        right[:, 3:4] = (CONTACT + 1.0) * rs * warm * loop - (at * (rs * warm * i + back)).sum(-1, keepdims=True)
+        rates = np.einsum("mij,mj->mi", inverse, right)[:, :4] / lf
+        return np.concatenate([rates, rotor], axis=1)
 
-    kinks = solve_ivp(
-        slope, (times[0], times[-1]), np.zeros(5 * count), t_eval=times, rtol=1e-8, atol=1e-9, max_step=STEP
-    )
-    return np.moveaxis(kinks.y.reshape(count, 5, -1)[:, :3], 2, 1)
+    h, state = STEP / STEPS, np.zeros((len(drives), 6))
+    found = np.zeros((len(drives), speed.shape[1], 3))
+    for k in range(speed.shape[1] - 1):
+        for part in range(STEPS):
+            rates = [np.zeros_like(state)]
+            for share in (0.0, 0.5, 0.5, 1.0):
+                s = (part + share) / STEPS
+                w = speed[:, k] + s * (speed[:, k + 1] - speed[:, k])
+                theta = angle[:, k] + s * STEP * (speed[:, k] + w) / 2.0
+                volts = (1.0 - s) * axes[:, k] + s * axes[:, k + 1]
+                rates.append(slope(state + share * h * rates[-1], theta, w, volts))
+            state = state + h / 6.0 * (rates[1] + 2.0 * rates[2] + 2.0 * rates[3] + rates[4])
+        found[:, k + 1] = state[:, :3]
+    return found
+
+
+def tables(drives: Sequence[Drive], conditions: Sequence[Condition], noise: float, seed: int) -> list[pd.DataFrame]:
+    """Return tables of phase signals: voltages asked of the inverter, currents that sensors of lines a and b read."""
+    rng, found = np.random.default_rng([12, seed]), []
+    for (times, speed, angle, axes), off, lines in zip(drives, conditions, currents(drives, conditions), strict=True):
+        frame = pd.DataFrame({"time": times, "w": speed, "theta": angle})
+        frame[["ua", "ub", "uc"]] = to_phases(axes, angle)
+        for j, name in enumerate(("ia", "ib")):
+            late = CubicSpline(times, lines[:, j])(np.maximum(times - off.delay[j], 0.0))
+            frame[name] = (1.0 + off.gain[j]) * late + off.offset[j] + noise * rng.standard_normal(times.size)
+        found.append(frame)
+    return found
 
 
 @cache
@@ -102,9 +153,5 @@ def record(
     seed: int = 0,
 ) -> pd.DataFrame:
     """Return a table of phase signals, not to be changed: voltages of the inverter, currents of lines a and b."""
-    times, speed, angle, axes = excitation(count, seed)
-    frame = pd.DataFrame({"time": times, "w": speed, "theta": angle})
-    frame[["ua", "ub", "uc"]] = to_phases(axes, angle)
-    found = currents(times, speed, angle, axes, joint, dead_time)[0, :, :2]
-    frame[["ia", "ib"]] = found + noise * np.random.default_rng([12, seed]).standard_normal(found.shape)
+    (frame,) = tables([excitation(count, seed)], [Condition(joint=joint, dead_time=dead_time)], noise, seed)
     return frame
