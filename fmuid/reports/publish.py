@@ -15,7 +15,7 @@ FORMATS = ("png", "svg", "pdf")
 REPORT_FILE = "report.html"
 # What the figures of a run are called, before a hyphen where there are several of a kind.
 KINDS = """
-forest fit preparation prepared monitored residuals parameters cost optima belief parabolas correlation accuracy hiding
+forest fit preparation prepared residuals parameters cost optima belief parabolas correlation accuracy hiding
 profiles maps posterior walkers causes changes explained timeline cases distributions spread over starts failures
 leverage prediction likelihood errors estimates excitations sensitivities
 """.split()  # noqa: SIM905  # as a list a line each

@@ -27,15 +27,12 @@ from fmuid.errors import FmuidError, InputError
 from fmuid.estimation import Result
 from fmuid.events import Progress
 from fmuid.identification import SensitivityFunctions, expected_accuracy, rank_excitations, sensitivity_functions
-from fmuid.runs.findings import DiagnosisRun, MonitoringRun, PreprocessedTable, Provenance
-from fmuid.runs.folder import MONITORED_FILE, MONITORING_FILE, MONITORING_SCHEMA, read_monitoring, write_diagnosis
+from fmuid.runs.findings import DiagnosisRun, MonitoringRun, Provenance
+from fmuid.runs.folder import MONITORING_FILE, MONITORING_SCHEMA, write_diagnosis
 from fmuid.runs.predict import records_like
-from fmuid.runs.preprocessing import changed, prepared, prepared_table, thinned_again, write_some
-from fmuid.runs.provenance import made_from
-from fmuid.studies import ExperimentSettings, Study
-
-# Monitored records whose preprocessing is kept, as many as a page shows.
-MOST_PREPARED = 6
+from fmuid.runs.preprocessing import prepared
+from fmuid.runs.provenance import made_from, with_earlier
+from fmuid.studies import Study
 
 
 def rule_of(study: Study) -> Rule:
@@ -90,7 +87,7 @@ def extended_baseline(study: Study, tables: Sequence[str | Path]) -> tuple[Path,
     settings = study.fault_search
     faults, known = settings.fault_models(study.system, study.model, study.data), _healthy(study)
     path = settings.baseline_file
-    records = [record for record, _ in records_like(study, [Path(table) for table in tables])]
+    records = list(records_like(study, [Path(table) for table in tables]))
     try:
         made = extend_stored_baseline(known, faults, study.system, settings.causes, records)
     except InputError as error:
@@ -133,21 +130,20 @@ def monitored(
     if folder is None and append:
         raise InputError("resume needs the folder of the earlier run. Give it.")
     monitor = build_monitor(study, rule_of(study))
-    paths, beside, kept = [Path(table) for table in tables], dict[str, Any](), None
+    paths, beside = [Path(table) for table in tables], dict[str, Any]()
     if folder is not None:
         beside = monitor.resume(folder) if append else {}
         files.make_folder(folder)
-        kept = MonitoredTables(folder, study.experiments[0], append=append)
     try:
-        for record, raw in records_like(study, paths, known=monitor.records):
+        for record in records_like(study, paths, known=monitor.records):
             monitor.add(record, progress)
-            if kept is not None:
-                kept.add(record, raw)
     finally:  # what was found before a record that is wrong is kept, and can be appended to
         found = findings_of(monitor)
-        if folder is not None and kept is not None and monitor.records:
+        if folder is not None and monitor.records:
             examined = (path for path in record_files(paths) if path.stem in monitor.records)
-            found = kept.write(found, monitor, made_from(study, examined), beside=beside)
+            origin = made_from(study, examined)
+            origin = with_earlier(origin, folder / MONITORING_FILE) if append else origin
+            found = write_monitoring(monitor, folder, origin, beside=beside)
     yield found
 
 
@@ -160,49 +156,17 @@ def findings_of(monitor: Monitor) -> MonitoringRun:
     )  # fmt: skip
 
 
-class MonitoredTables:
-    """Preprocessing of the first monitored records, kept with the findings."""
-
-    def __init__(self, folder: Path, given: ExperimentSettings, *, append: bool) -> None:
-        self.folder, self.given, self._new = folder, given, not append
-        there = append and files.is_file(folder / MONITORING_FILE)
-        earlier = read_monitoring(folder) if there else None
-        self.prepared: list[PreprocessedTable] = [] if earlier is None else list(earlier.prepared)
-        self._files = {} if earlier is None or earlier.origin is None else dict(earlier.origin.files)
-
-    def add(self, record: Experiment, raw: pd.DataFrame) -> None:
-        """Note the preprocessing of a table or its new part."""
-        at = next((k for k, each in enumerate(self.prepared) if each.experiment == record.name), None)
-        if not changed(self.given.preprocess) or (at is None and len(self.prepared) >= MOST_PREPARED):
-            return
-        done = prepared_table(self.given.model_copy(update={"name": record.name}), record, raw)
-        self._new = self._new or len(done.table) > 0
-        if at is None:
-            self.prepared.append(done)
-            return
-        before = self.prepared[at].table
-        new = done.table[done.table["time"] > before["time"].max()] if len(before) and len(done.table) else done.table
-        if len(new):
-            whole = thinned_again(pd.concat([before, new], ignore_index=True))
-            self.prepared[at] = replace(self.prepared[at], table=whole)
-
-    def write(
-        self,
-        found: MonitoringRun,
-        monitor: Monitor,
-        origin: Provenance,
-        lines: Sequence[str] = (),
-        beside: Mapping[str, Any] | None = None,
-    ) -> MonitoringRun:
-        """Write findings, and tables of preprocessing if new; return findings with their files."""
-        origin = replace(origin, files=self._files | dict(origin.files))
-        found = replace(found, prepared=tuple(self.prepared), origin=origin)
-        written = [self.folder / MONITORED_FILE] if any(len(each.table) for each in self.prepared) else []
-        if self._new:
-            self._new = False
-            written = write_some(self.folder / MONITORED_FILE, (each.table for each in self.prepared))
-        content = {"schema": MONITORING_SCHEMA, **codec.as_json(found)}
-        return replace(found, files=(*written, *monitor.write(self.folder, content, lines, beside)))
+def write_monitoring(
+    monitor: Monitor,
+    folder: Path,
+    origin: Provenance,
+    lines: Sequence[str] = (),
+    beside: Mapping[str, Any] | None = None,
+) -> MonitoringRun:
+    """Write the findings of a monitor so far; return them with their files."""
+    found = replace(findings_of(monitor), origin=origin)
+    content = {"schema": MONITORING_SCHEMA, **codec.as_json(found)}
+    return replace(found, files=tuple(monitor.write(folder, content, lines, beside)))
 
 
 def ranked_excitations(

@@ -221,7 +221,6 @@ class MonitoringRun:
     units: Mapping[str, str]  # of these columns
     basis: BaselineSource  # source of the baseline
     gaps: tuple[SkippedWindow, ...] = ()  # skipped windows; not kept in a file
-    prepared: tuple[PreprocessedTable, ...] = ()  # of the first records
     origin: Provenance | None = None
     files: tuple[Path, ...] = ()  # written files
 

@@ -26,14 +26,14 @@ DIAGNOSIS_FILE = "diagnosis.json"
 MONITORING_FILE, MONITORING_SCHEMA = "monitoring.json", "fmuid/monitoring/2"
 PREDICTION_FILE, PREDICTION_SCHEMA = "prediction.json", "fmuid/prediction/2"
 COMPARISON_FILE, COMPARISON_SCHEMA = "comparison.json", "fmuid/comparison/2"
-PREPARED_FILE, MONITORED_FILE = "diagnosis-preparation.csv", "monitoring-preparation.csv"
-"""What was done with the tables of a diagnosis, and of a monitoring, as in ``preparation.csv``."""
+PREPARED_FILE = "diagnosis-preparation.csv"
+"""What was done with the tables of a diagnosis, as in ``preparation.csv``."""
 RESIDUALS_FILE = "diagnosis-residuals.csv"
 """Residuals of the first experiment, of the healthy model and with the fault."""
 # Tables of an identification: those of an earlier run would be taken for this one's.
 _TABLES = ("trace", "fit", "diagnostics", "optima", "preparation", "profiles", "posterior", "map-*")
 # Columns of texts, which pandas would take for numbers or missing values where they look like it.
-_TEXTS = ("experiment", "column", "record", "significant", "alarm")
+_TEXTS = ("experiment", "record", "significant", "alarm")
 _AGAIN = "run fmuid identify again"
 
 
@@ -147,17 +147,8 @@ def read_monitoring(folder: Path) -> MonitoringRun:
     """Read the files of a monitoring."""
     path, again = folder / MONITORING_FILE, "run fmuid monitor again"
     content = codec.content_of(path, MONITORING_SCHEMA, again)
-    content["prepared"] = _with_tables(content.get("prepared", []), folder / MONITORED_FILE)
     content["table"] = read_table(folder / "monitoring.csv") if content.get("windows") else pd.DataFrame()
     return codec.decoded(path, content, MonitoringRun, again)
-
-
-def _with_tables(prepared: Any, path: Path) -> Any:
-    """Put preprocessed tables into the content of a JSON file."""
-    if not path.is_file() or not isinstance(prepared, list):
-        return prepared
-    table = read_table(path)
-    return [{**each, "table": table[table["experiment"] == each.get("experiment")]} for each in prepared]
 
 
 def write_prediction(folder: Path, found: PredictionRun) -> PredictionRun:

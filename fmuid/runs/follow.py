@@ -30,10 +30,9 @@ from fmuid.diagnosis import (
     damage_of,
 )
 from fmuid.errors import FmuidError, InputError
-from fmuid.runs.faults import MonitoredTables, build_monitor, findings_of, rule_of
-from fmuid.runs.folder import MONITORED_FILE
+from fmuid.runs.faults import build_monitor, rule_of, write_monitoring
 from fmuid.runs.log_follower import LogFollower, RecordUpdate
-from fmuid.runs.provenance import made_from, made_now
+from fmuid.runs.provenance import made_from, made_now, with_earlier
 from fmuid.studies import Study
 
 # Time between looks, s.
@@ -85,7 +84,7 @@ class _Running:
     """A monitoring in operation."""
 
     def __init__(self, study: Study, place: Path, folder: Path, say: Say) -> None:
-        self.study, self.place, self.folder, self.origin, self.say = study, place, folder, made_from(study), say
+        self.study, self.place, self.folder, self.say = study, place, folder, say
         self.key = _key(study)
         self.lines: list[str] = []
         self.remarks: list[str | SkippedWindow] = []
@@ -112,8 +111,10 @@ class _Running:
             self.follower = LogFollower(given, self.place, rule.window, rule.transient, beside.get("followed"))
             self.alarms = AlarmLines(**beside.get("alarms", {"study": self.study.title}), say=self.say)
             self.waiting = [str(line) for line in beside.get("waiting", [])]  # of which the command was not told
+        self.origin = made_from(self.study)
         try:
-            self.tables = MonitoredTables(self.folder, given, append=bool(self.monitor.windows))
+            if self.monitor.windows:
+                self.origin = with_earlier(self.origin, self.folder / FOUND_FILE)
         except InputError as error:
             raise DamagedStateError(self.folder, str(error)) from None
 
@@ -121,7 +122,7 @@ class _Running:
         """Put damaged files of an earlier run aside; begin anew."""
         aside = next(path for k in count(1) if not files.exists(path := self.folder / f"earlier-{k}"))
         aside.mkdir()
-        for name in (STATE_FILE, TABLE_FILE, FOUND_FILE, ALARMS_FILE, MONITORED_FILE):
+        for name in (STATE_FILE, TABLE_FILE, FOUND_FILE, ALARMS_FILE):
             if files.exists(self.folder / name):
                 (self.folder / name).replace(aside / name)
         self.remarks.append(
@@ -167,7 +168,6 @@ class _Running:
         else:
             try:
                 self.monitor.add(piece.record, grows=piece.grows)
-                self.tables.add(piece.record, piece.raw)
                 self.follower.taken(piece, self.monitor.needed)
             except DamagedStateError:
                 raise
@@ -194,9 +194,8 @@ class _Running:
     def _write(self, lines: Sequence[str]) -> None:
         beside = {"key": self.key, "followed": self.follower.state, "alarms": self.alarms.state}
         origin = replace(self.origin, date=made_now().date)
-        self.written = self.tables.write(
-            findings_of(self.monitor), self.monitor, origin, lines, beside | {"waiting": self.waiting}
-        ).files
+        beside |= {"waiting": self.waiting}
+        self.written = write_monitoring(self.monitor, self.folder, origin, lines, beside).files
         self.changed = False
 
     def tell(self) -> None:

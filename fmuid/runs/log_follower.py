@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from fmuid.data import TEXT, Experiment, missing_rows, numeric_column, tables_in, time_name
 from fmuid.errors import InputError
@@ -33,10 +32,9 @@ GONE = 1000
 
 @dataclass(frozen=True, eq=False)
 class RecordUpdate:
-    """A record, or its new part, with the table before preprocessing."""
+    """A record, or its new part."""
 
     record: Experiment
-    raw: pd.DataFrame
     grows: bool
     _file: LogFile
     _rows: NewRows | None = None
@@ -128,14 +126,13 @@ class LogFollower:
         if not settled and path.suffix.lower() not in WHOLE_OR_NOT:
             return
         try:
-            raw = self.words.read_frame(path)
-            record = self.words.model_copy(update={"name": each.record}).experiment(raw, str(path))
+            record = self.words.model_copy(update={"name": each.record}).read_experiment(path)
         except InputError as error:
             if settled:
                 each.finish(path)
                 yield from _say(each, str(error))
             return
-        yield RecordUpdate(record, raw, False, each)
+        yield RecordUpdate(record, False, each)
 
     def _of_rows(self, path: Path, each: LogFile, others: bool) -> Iterator[RecordUpdate | str]:
         """Yield the new rows of a text; end its record where another file waits."""
@@ -185,7 +182,7 @@ class LogFollower:
         frame = rows.frame.iloc[:count]
         frame.attrs = rows.frame.attrs
         record = self.words.model_copy(update=update).experiment(frame, str(path))
-        return RecordUpdate(record, frame, not last, each, rows, int(rows.starts[count]), splits)
+        return RecordUpdate(record, not last, each, rows, int(rows.starts[count]), splits)
 
     def _end(self, path: Path, each: LogFile, at: int) -> None:
         """Let a record end at a byte, and another one begin there."""

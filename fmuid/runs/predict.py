@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from fmuid import codec
 from fmuid.data import Experiment, Parameter, is_quantity, record_files
@@ -38,8 +37,8 @@ from fmuid.studies import PriorSource, SourceWarning, Study
 
 def records_like(
     study: Study, paths: Sequence[Path], like: str | None = None, known: Sequence[str] = ()
-) -> Iterator[tuple[Experiment, pd.DataFrame]]:
-    """Read records with an experiment's settings, and their raw tables."""
+) -> Iterator[Experiment]:
+    """Read records with an experiment's settings."""
     names = [given.name for given in study.experiments]
     if like is not None and like not in names:
         raise InputError(f"{study.path}: unknown experiment {like!r}{nearest(like, names)}. Choose {', '.join(names)}.")
@@ -48,12 +47,11 @@ def records_like(
         if path.stem in known:
             continue
         try:
-            raw = given.read_frame(path)
-            record = given.model_copy(update={"name": path.stem}).experiment(raw, str(path))
+            record = given.model_copy(update={"name": path.stem}).read_experiment(path)
         except InputError as error:
             of = f"experiment {given.name!r} of {study.path}"
             raise InputError(f"{error} (inputs and outputs are those of {of})") from None
-        yield record, raw
+        yield record
 
 
 def predict_with(
@@ -216,7 +214,7 @@ def predicted_by(
     study = study or study_of(path, in_place=Path(tables[0]))
     notes = tuple(notes_of(study, path, estimates))
     paths = [Path(table) for table in tables]
-    records = [record for record, _ in records_like(study, paths, like)]
+    records = list(records_like(study, paths, like))
     seen = tuple(each.name for each in records if estimates.made_from(each))
     predictions = tuple(predict_with(study, estimates, each, free=free, level=level) for each in records)
     return PredictionRun(predictions, (), notes, seen, made_from(study, [path, *record_files(paths)]))

@@ -36,7 +36,9 @@ def prepared(study: Study) -> tuple[PreprocessedTable, ...]:
         if read is None or read[0] != key:  # pieces of a record follow each other
             read = None  # two records at once may be more than there is room for
             read = key, given.read_frame(given.data)
-        found.append(prepared_table(given, experiment, read[1]))
+        units = dict(experiment.frame.attrs.get(UNITS, {}))
+        columns = prepared_columns(given, experiment, read[1])
+        found.append(PreprocessedTable(given.name, changed(given.preprocess), units, columns))
     return tuple(found)
 
 
@@ -55,21 +57,6 @@ def changed(settings: Any) -> dict[str, Any]:
         if getattr(settings, each.name) != default:
             left[each.name] = getattr(settings, each.name)
     return {name: list(map(changed, value)) if name == "park" else value for name, value in left.items()}
-
-
-def prepared_table(given: ExperimentSettings, experiment: Experiment, raw: pd.DataFrame) -> PreprocessedTable:
-    """Return the preprocessing of a table for an experiment."""
-    units = dict(experiment.frame.attrs.get(UNITS, {}))
-    return PreprocessedTable(given.name, changed(given.preprocess), units, prepared_columns(given, experiment, raw))
-
-
-def thinned_again(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the columns of a growing record, thinned for figures."""
-    parts = []
-    for _, rows in table.groupby(["column", "stage"], sort=False):
-        much = len(rows) > 2 * MAX_ROWS
-        parts.append(rows.iloc[extremes(rows[["value"]].to_numpy(np.float64), MAX_ROWS)] if much else rows)
-    return pd.concat(parts, ignore_index=True)
 
 
 def prepared_columns(

@@ -7,7 +7,7 @@ import math
 import os
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +18,7 @@ from fmuid.estimation import RESULT_SCHEMA
 from fmuid.files import is_file, is_folder
 from fmuid.models import file_digest
 from fmuid.runs.findings import Provenance, StudySource
-from fmuid.runs.folder import RESULT_FILE
+from fmuid.runs.folder import MONITORING_SCHEMA, RESULT_FILE
 from fmuid.version import __version__
 
 if TYPE_CHECKING:
@@ -89,9 +89,15 @@ def _of_json(value: Any, _: str) -> Any:
 
 @dataclass(frozen=True)
 class _Origin:
-    """The provenance in a ``result.json``, and nothing else of it."""
+    """The provenance in a file of results, and nothing else of it."""
 
     origin: Provenance | None = None
+
+
+def with_earlier(origin: Provenance, path: Path) -> Provenance:
+    """Return a provenance with the files of an earlier run's monitoring, if any."""
+    there = codec.read(path, MONITORING_SCHEMA, _Origin, "run fmuid monitor again") if is_file(path) else _Origin()
+    return origin if there.origin is None else replace(origin, files={**there.origin.files, **origin.files})
 
 
 def study_of(

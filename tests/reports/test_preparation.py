@@ -1,23 +1,17 @@
 """What was done with a table first is written beside the results and drawn in the report, by its data."""
 
-import shutil
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 import pytest
 
 import fmuid
-from fmuid.reports.chart import LIMITS
 from fmuid.reports.documents import document
 from fmuid.reports.topics.preprocessing import preparation_words, preprocessing_sections
-from fmuid.runs import log_follower as follower
-from fmuid.runs import read_monitoring
-from fmuid.runs.faults import MonitoredTables
-from fmuid.studies import ExperimentSettings, Study
+from fmuid.studies import Study
 from tests.support.coil_study import COIL, coil_table
-from tests.support.running import run_diagnosis, run_following, run_monitoring, run_study
+from tests.support.running import run_diagnosis, run_study
 
 STUDY = """
 [model]
@@ -65,18 +59,6 @@ def rows(table: pd.DataFrame, column: str, stage: str) -> pd.DataFrame:
     return table[(table["column"] == column) & (table["stage"] == stage)]
 
 
-def counted_reads(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
-    """Return the data files that are read from now on."""
-    read, original = list[Path](), ExperimentSettings.read_frame
-
-    def read_frame(given: ExperimentSettings, path: Path, *more: Any) -> pd.DataFrame:
-        read.append(path)
-        return original(given, path, *more)
-
-    monkeypatch.setattr(ExperimentSettings, "read_frame", read_frame)
-    return read
-
-
 def test_report_shows_preprocessing(study: Study, tmp_path: Path) -> None:
     found = run_study(study, tmp_path, report=True)
     assert tmp_path / "preparation.csv" in found.files
@@ -89,7 +71,7 @@ def test_report_shows_preprocessing(study: Study, tmp_path: Path) -> None:
     assert 'id="preparation-2"' in page
 
 
-def test_diagnosis_and_monitoring_show_preprocessing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_diagnosis_shows_preprocessing(tmp_path: Path) -> None:
     coil, test = fmuid.datasets.coil(), fmuid.datasets.faulty_coil()
     run_study(Study.of(coil.study, tmp_path / "coil.toml"), tmp_path / "healthy")
     faults = {"turns": {"fmu": str(test.fmu), "parameters": {"dR": {"nominal": 1.0}}}}
@@ -98,52 +80,12 @@ def test_diagnosis_and_monitoring_show_preprocessing(tmp_path: Path, monkeypatch
     words = coil.study | {"experiments": [record], "parameters": {}, "diagnosis": known}
 
     def captions(found: Any) -> list[str]:
-        return [each.caption for each in document(found).sections if each.key.startswith(("prepared", "monitored"))]
+        return [each.caption for each in document(found).sections if each.key.startswith("prepared")]
 
     found = run_diagnosis(Study.of(words, tmp_path / "test.toml"), tmp_path / "out")
     assert tmp_path / "out" / "diagnosis-preparation.csv" in found.files
     (caption,) = captions(found)
     assert "0.1 s" in caption
-    study = Study.of(words | {"monitoring": {"false_alarm_rate": 0.01}}, tmp_path / "test.toml")
-    second = shutil.copy(test.path, tmp_path / "second.csv")
-    for tables in ([test.path], [test.path, second]):
-        watched = run_monitoring(study, tables, tmp_path / "out", append=len(tables) > 1)
-        assert tmp_path / "out" / "monitoring-preparation.csv" in watched.files
-    assert len(captions(read_monitoring(tmp_path / "out"))) == 2
-    monkeypatch.setattr(follower, "SETTLED", 0.0)
-    read = counted_reads(monkeypatch)
-    (tmp_path / "records").mkdir()
-    for name in ("faulty-coil", "second"):  # in two runs, the later of which goes on
-        shutil.copy(test.path, tmp_path / "records" / f"{name}.csv")
-        run_following(study, tmp_path / "records", tmp_path / "follow", until=lambda watching: watching.idle)
-    assert [path.stem for path in read if path.parent.name == "records"] == ["faulty-coil", "second"]  # each once
-    assert captions(read_monitoring(tmp_path / "follow"))[0] == captions(read_monitoring(tmp_path / "out"))[0]
-    once, followed = (pd.read_csv(tmp_path / name / "monitoring-preparation.csv") for name in ("out", "follow"))
-    pd.testing.assert_frame_equal(once.drop(columns="experiment"), followed.drop(columns="experiment"))
-
-
-def test_growing_recording_is_kept_once_and_downsampled(tmp_path: Path) -> None:
-    coil = fmuid.datasets.coil().study
-    words = coil | {"experiments": [{**coil["experiments"][0], "preprocess": {"computed_columns": {"v": "2 * u"}}}]}
-    (given,) = Study.of(words, tmp_path / "coil.toml").experiments
-    times = 1e-3 * np.arange(30_000)
-    raw = pd.DataFrame({"time": times, "u": np.sin(times), "i": np.cos(times)})
-    kept = MonitoredTables(tmp_path, given, append=False)
-
-    def add(first: int, end: int) -> pd.DataFrame:
-        piece = raw.iloc[first:end].reset_index(drop=True)
-        kept.add(given.model_copy(update={"name": "log"}).experiment(piece, "log.csv"), piece)
-        (one,) = kept.prepared
-        assert one.experiment == "log"
-        return one.table
-
-    for first, end in ((0, 500), (400, 1000), (900, 2000)):  # the first rows were there before
-        table = add(first, end)
-    np.testing.assert_allclose(table["time"], times[:2000])
-    np.testing.assert_allclose(table["value"], 2 * np.sin(times[:2000]))
-    table = add(1900, 30_000)
-    assert len(table) <= 2 * LIMITS.rows
-    np.testing.assert_allclose(table["time"].iloc[[0, -1]], times[[0, -1]])
 
 
 def test_preprocessing_steps_are_named() -> None:

@@ -91,7 +91,7 @@ def test_a_file_without_a_study_is_refused(folder: Path, origin: dict[str, Any] 
 
 def test_records_are_read_with_the_words_of_an_experiment(folder: Path) -> None:
     study = Study.read(folder / "study.toml")
-    ((record, _),) = records_like(study, [folder / "second.csv"])
+    (record,) = records_like(study, [folder / "second.csv"])
     assert record.name == "second"
     assert record.held.all()
     with pytest.raises(InputError, match=r"unknown experiment 'firts' \(did you mean 'first'\?\)"):
@@ -106,7 +106,7 @@ def test_records_in_other_units_and_variables_estimated_again(folder: Path) -> N
     study = Study.read(folder / "study.toml")
     result, table = study.identify(), pd.read_csv(folder / "third.csv")
     table.assign(i=1e3 * table["i"]).rename(columns={"i": "i [mA]"}).to_csv(folder / "milli.csv", index=False)
-    (plain, _), (milli, _) = records_like(study, [folder / "third.csv", folder / "milli.csv"])
+    plain, milli = records_like(study, [folder / "third.csv", folder / "milli.csv"])
     one, other = predict_with(study, result, plain), predict_with(study, result, milli)
     assert other.scores[0].unit == "mA"
     assert other.scores[0].rmse == pytest.approx(1e3 * one.scores[0].rmse)
@@ -122,7 +122,7 @@ def test_records_in_other_units_and_variables_estimated_again(folder: Path) -> N
 def test_a_parameter_without_a_value_is_refused(folder: Path) -> None:
     study = Study.read(folder / "study.toml", ["parameters.i_start={start=0.0, nominal=0.1}"])
     result = Result.from_json(kept(study, folder))
-    ((record, _),) = records_like(study, [folder / "second.csv"])
+    (record,) = records_like(study, [folder / "second.csv"])
     with pytest.raises(InputError, match=r"i_start: the result has no value.*--refit"):
         predict_with(study, result, record)
     assert predict_with(study, result, record, free=["i_start"]).estimated is not None

@@ -26,7 +26,6 @@ from fmuid.reports.document import (
     table_of_rows,
 )
 from fmuid.reports.topics.diagnosis import basis_notes, explanation_words
-from fmuid.reports.topics.preprocessing import preprocessing_sections
 from fmuid.runs import MonitoringRun
 
 
@@ -187,7 +186,6 @@ def monitoring_document(found: MonitoringRun) -> Document:
         for k, fault in enumerate(found.sizes):
             key, caption = ("timeline", TIMELINE) if k == 0 else (f"timeline-{k + 1}", "")
             sections.append(Section(key, f"Over time: {fault}", caption, charts=(_timeline(found, fault),), beside=1))
-    sections += preprocessing_sections(found.prepared, len(found.prepared) > 1, "monitored")
     tone: Tone = "bad" if found.alarms else "doubt" if found.undetermined else "good"
     state = "alarm" if found.alarms else "undecided" if found.undetermined else "no alarm"
     return Document("monitoring", "Monitoring", state, tone, tuple(said), tuple(sections), **origin_of(found.origin))
