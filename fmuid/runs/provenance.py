@@ -95,7 +95,7 @@ class _Origin:
 
 
 def with_earlier(origin: Provenance, path: Path) -> Provenance:
-    """Return a provenance with the files of an earlier run's monitoring, if any."""
+    """Return a provenance with the files of an earlier monitoring, if any."""
     there = codec.read(path, MONITORING_SCHEMA, _Origin, "run fmuid monitor again") if is_file(path) else _Origin()
     return origin if there.origin is None else replace(origin, files={**there.origin.files, **origin.files})
 

@@ -11,6 +11,10 @@ from bokeh.document import Document
 
 from fmuid.apps.workbench import Folder, Workbench
 from fmuid.apps.workbench.jobs import Jobs
+from fmuid.estimation import Result
+from fmuid.reports.documents import document
+from fmuid.reports.render.document_json import write_documents
+from fmuid.runs import IdentificationRun
 from tests.support.coil_study import STUDY, coil_table
 
 PATIENCE = 60.0
@@ -34,6 +38,11 @@ def running(bench: Workbench) -> Iterator[Workbench]:
 def bench_of(path: Path) -> Any:
     """Return what pages see of a workbench."""
     return SimpleNamespace(folder=Folder(path), jobs=Jobs())
+
+
+def described(path: Path) -> None:
+    """Write the document of a ``result.json``."""
+    write_documents(path.parent, {"identification": document(IdentificationRun(Result.from_json(path)))})
 
 
 def asked_for(*files: str, settings: Sequence[str] = ()) -> Any:

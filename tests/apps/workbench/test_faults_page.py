@@ -16,7 +16,7 @@ from fmuid.errors import InputError
 from fmuid.studies import Study
 from tests.support.results import result
 from tests.support.running import run_diagnosis, run_monitoring, run_study
-from tests.support.workbench import PATIENCE, asked_for, bench_of, coil_study, finished
+from tests.support.workbench import PATIENCE, asked_for, bench_of, coil_study, described, finished
 
 
 def text(shown: ResultsView) -> str:
@@ -26,16 +26,16 @@ def text(shown: ResultsView) -> str:
 def test_results_view_follows_its_folder(tmp_path: Path) -> None:
     shown = ResultsView(Document(), tmp_path, "light", ("identification",))
     assert "No result yet" in text(shown)
-    result(tmp_path, {"R": (4.0, 0.1)})
+    described(result(tmp_path, {"R": (4.0, 0.1)}))
     shown.look()
     assert "4.00 ± 0.10" in text(shown)
     before = shown.layout.children
     shown.look()
     assert shown.layout.children == before  # nothing is drawn again
-    (tmp_path / "result.json").write_text("{half of")
+    (tmp_path / "document.json").write_text("{half of")
     shown.look()
     assert shown.layout.children == before
-    result(tmp_path, {"R": (5.0, 0.1)})
+    described(result(tmp_path, {"R": (5.0, 0.1)}))
     shown.look()
     assert "5.00 ± 0.10" in text(shown)
 

@@ -27,11 +27,10 @@ from fmuid.apps.workbench.pages.results import PredictAction, WriteAction, _comp
 from fmuid.apps.workbench.project_folder import FoundResult, FoundStudy
 from fmuid.estimation import Result
 from fmuid.events import EVENTS, BatchStep, Event, GlobalStep, SearchStep, of_line
-from fmuid.reports.documents import document
-from fmuid.reports.render.document_json import read_documents, write_documents
+from fmuid.reports.render.document_json import read_documents
 from fmuid.reports.render.progress import Display
 from fmuid.reports.topics.fit import fit_charts
-from fmuid.runs import CaseList, IdentificationRun, made_from
+from fmuid.runs import CaseList, made_from
 from fmuid.runs.batch.study_package import BatchStudy
 from fmuid.simulation import OutputFit
 from fmuid.studies import Study
@@ -40,7 +39,7 @@ from tests.support.coil_study import COIL, STUDY, coil_table
 from tests.support.isolated import wait_until
 from tests.support.results import result
 from tests.support.running import run_study
-from tests.support.workbench import asked_for, bench_of, coil_study, finished
+from tests.support.workbench import asked_for, bench_of, coil_study, described, finished
 
 EVENTS_SEEN: tuple[Event, ...] = (
     Event(task="uncertainty", share=0.0),
@@ -85,11 +84,6 @@ def test_first_page_lists_studies_and_results(tmp_path: Path) -> None:
         page = _studies(folder, [bare], [FoundResult.of(kept)], set())
         assert f">{word}<" in page and "Last result" in page
     assert ">running<" in _studies(folder, studies, results, {(tmp_path / "a/study.toml").resolve()})
-
-
-def described(path: Path) -> None:
-    """Write the document of a result."""
-    write_documents(path.parent, {"identification": document(IdentificationRun(fmuid.Result.from_json(path)))})
 
 
 def test_results_lead_to_remedies(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ from tests.support.coil_study import coil_table
 from tests.support.isolated import wait_until
 from tests.support.results import result
 from tests.support.running import run_study
-from tests.support.workbench import PATIENCE, asked_for, bench_of, coil_study
+from tests.support.workbench import PATIENCE, asked_for, bench_of, coil_study, described
 
 
 class Page:
@@ -170,7 +170,8 @@ def test_command_and_options_are_those_of_the_page(page: Page, path: Path) -> No
 
 def test_result_of_another_study_is_not_shown(copied: Path) -> None:
     (copied.parent / "other.toml").write_text(copied.read_text())
-    result(copied.parent / "results", {"R": (4.0, 0.1), "L": (0.1, None)}, study={"file": "../other.toml"})
+    told = {"file": "../other.toml"}
+    described(result(copied.parent / "results", {"R": (4.0, 0.1), "L": (0.1, None)}, study=told))
     for name, own in (("study.toml", False), ("other.toml", True)):
         page = Page(copied.with_name(name)).page
         assert (page.optimum is not None) == own

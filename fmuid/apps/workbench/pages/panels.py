@@ -21,6 +21,7 @@ from fmuid.reports.render.document_json import DOCUMENT_FILE
 from fmuid.reports.render.html import drawn_sections, section_head, verdict
 from fmuid.reports.render.html import text as escaped
 from fmuid.reports.render.progress import event_words
+from fmuid.runs import MONITORING_FILE
 
 EVERY = 150  # ms between two looks at a command
 
@@ -143,7 +144,6 @@ def _words(event: Event | None, job: Job) -> str:
 # --- documents of a folder ----------------------------------------------------------------
 
 LOOK_EVERY = 1000  # ms between two looks at the folder
-FILES = {"identification": "result.json"}  # files of kinds with another name
 
 
 class ResultsView:
@@ -158,7 +158,7 @@ class ResultsView:
 
     def look(self) -> None:
         """Show changes since the last look; incomplete files wait."""
-        names = (DOCUMENT_FILE, *(FILES.get(kind, f"{kind}.json") for kind in self.kinds))
+        names = (DOCUMENT_FILE, MONITORING_FILE)  # a monitoring that still runs has no document yet
         seen = [(name, (self.place / name).stat().st_mtime_ns) for name in names if is_file(self.place / name)]
         if seen == self._seen:
             return
