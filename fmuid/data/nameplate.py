@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from typing import Annotated
@@ -14,6 +15,10 @@ from fmuid.units import parse_unit
 _PRINTED = re.compile(r"\s*([-+]?\d+(?:\.(\d*))?|[-+]?\.(\d+))\s*(\S.*)?")
 UNITS = {"P": "W", "U": "V", "I": "A", "cos_phi": "", "n": "rpm", "f": "Hz", "Is_In": "", "Ts_Tn": "", "Tb_Tn": ""}
 """Units of numbers without one."""
+
+
+MOST_SLIP = 0.2
+"""Largest rated slip: that of NEMA design D is 0.13."""
 
 
 @dataclass(frozen=True)
@@ -66,9 +71,13 @@ class Nameplate:
         for name, each in printed.items():
             if each.value <= 0.0:
                 raise InputError(f"{name} must be above 0, not {each.value:g}.")
-        share = self.pole_pairs * printed["n"].value / (60.0 * printed["f"].value)
-        if not 0.5 < share < 1.0:
+        if not 0.0 < self.slip.value < MOST_SLIP:
             raise InputError(f"n = {printed['n'].value:g} rpm is no rated speed at {printed['f'].value:g} Hz.")
+        taken = math.prod(each.value + each.half for name, each in printed.items() if name in ("U", "I", "cos_phi"))
+        if printed["P"].value - printed["P"].half > 3.0**0.5 * taken:
+            raise InputError(
+                "P exceeds the electrical power of U, I and cos_phi. Give U between lines and I of a line."
+            )
 
     @property
     def printed(self) -> dict[str, Printed]:
@@ -93,7 +102,11 @@ class Nameplate:
 def _read(name: str, given: str | float) -> Printed:
     """Return a printed number."""
     text = (
-        given if isinstance(given, str) else f"{given:.12g}" if "e" in repr(given) else repr(given).removesuffix(".0")
+        given.replace(",", ".")
+        if isinstance(given, str)
+        else f"{given:.12g}"
+        if "e" in repr(given)
+        else repr(given).removesuffix(".0")
     )
     found = _PRINTED.fullmatch(text)
     if found is None:

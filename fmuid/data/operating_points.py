@@ -33,15 +33,15 @@ class RotatingFrame:
     """slip, from 0 at synchronous speed to 1 at standstill"""
     speed: str | float | None = None
     """mechanical speed in place of slip, rpm by default; needs pole_pairs"""
-    pole_pairs: Annotated[float, Gt(0)] | None = None
+    pole_pairs: Annotated[int, Gt(0)] | None = None
     """pole pairs of the machine"""
 
     def __post_init__(self) -> None:
         for one, other in (("voltage", "line_voltage"), ("slip", "speed")):
             if (getattr(self, one) is None) == (getattr(self, other) is None):
-                raise InputError(f"frame: give either {one} or {other}.")
+                raise InputError(f"give either {one} or {other}.")
         if self.speed is not None and self.pole_pairs is None:
-            raise InputError("frame: speed needs pole_pairs. Give the number of pole pairs.")
+            raise InputError("speed needs pole_pairs. Give the number of pole pairs.")
 
     @property
     def given(self) -> dict[str, str | float]:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Ge
 
 from fmuid.array_types import Floats
 from fmuid.data.experiment import Experiment
@@ -37,7 +39,7 @@ class Response:
     """column of the magnitude in dB, 20 lg"""
     phase: str | None = None
     """column of the phase, degrees"""
-    delay: float = 0.0
+    delay: Annotated[float, Ge(0)] = 0.0
     """delay of the measured response, s"""
 
     def __post_init__(self) -> None:
@@ -49,6 +51,8 @@ class Response:
         if not any(set(self.columns) <= set(form) for form in FORMS):
             named = " and ".join(self.columns)
             raise InputError(f"{named} cannot be combined. Name real and imaginary, or a magnitude and phase.")
+        if len(set(self.columns.values())) < len(self.columns):
+            raise InputError(f"{' and '.join(self.columns)} have the same column. Name one for each.")
 
     @property
     def signals(self) -> tuple[str, str]:

@@ -21,6 +21,7 @@ class PhasorSettings:
     """Numbers of the check of phasors."""
 
     linear: float = 1e-6  # largest relative error of the linear model at the amplitudes
+    most_slip: float = 2.0  # braking at synchronous speed
 
 
 SETTINGS = PhasorSettings()
@@ -36,6 +37,11 @@ class PhasorSimulator(PointSimulator):
         assert experiment.supply is not None, "of such an experiment"
         found = terminals_of(system, experiment, ())
         assert found is not None, "refused without one"
+        if experiment.guess:
+            raise InputError(f"{experiment.source}: guess has no effect with frame. Remove it.")
+        supplied = {*found.voltages, found.speed} & set(experiment.input_names)
+        for name in sorted(each for each in supplied if each):
+            raise InputError(f"{experiment.source}: frame gives the input {name!r}. Remove it from inputs.")
         self.terminals, self.pole_pairs = found, experiment.supply.pole_pairs
         for name in self.output_names:
             if not is_formula(system, name):
@@ -70,12 +76,20 @@ class PhasorSimulator(PointSimulator):
             voltage = line / np.sqrt(3.0)
         assert frequency is not None, "it is required"
         angular = 2.0 * np.pi * frequency
-        if (angular <= 0.0).any():
-            raise InputError(f"{self.experiment.source}: frame: frequency must be above 0 Hz in every row.")
+        where = f"{self.experiment.source}: frame"
+        for name, values, unit in (("frequency", angular, "Hz"), ("voltage", voltage, "V")):
+            if (values <= 0.0).any():
+                row = int(np.argmax(values <= 0.0)) + 1
+                raise InputError(f"{where}: {name} must be above 0 {unit} in every row, not as in row {row}.")
         if slip is None:
             speed = self._column("speed", "rad/s", "rpm")
             assert speed is not None and self.pole_pairs is not None, "checked by the frame"
             slip = 1.0 - self.pole_pairs * speed / angular
+        if (far := np.abs(slip) > SETTINGS.most_slip).any():
+            row = int(far.argmax())
+            raise InputError(
+                f"{where}: slip {slip[row]:.3g} in row {row + 1} is no fraction. Check units and pole_pairs."
+            )
         return voltage, angular, slip
 
     @cached_property
@@ -123,15 +137,15 @@ class PhasorSimulator(PointSimulator):
                 outputs[i, :, j] = in_data_units(self.system, self.experiment, name, values[name])
         reasons = [""] * len(thetas)
         if not self._is_checked and np.isfinite(states[0]).all():
-            reasons[0] = self._curvature(states[0, :, :, 0], thetas[:1])
+            reasons[0] = self._curvature(states[0, :, :, 0], models.a[0], thetas[:1])
             self._is_checked = not reasons[0]
         return outputs, reasons
 
-    def _curvature(self, states: Phasors, theta: Floats) -> str:
+    def _curvature(self, states: Phasors, a: Floats, theta: Floats) -> str:
         """Return why phasors do not hold; "" if the model is linear."""
         rates = self._points_at(self.vector.real).at(np.ascontiguousarray(states.real), theta).rates[0]
         linear = (1j * self.frequencies[:, None] * states).real
-        size = np.abs(self.frequencies[:, None] * states).max(axis=1) + np.abs(rates).max(axis=1)
+        size = np.abs(a * states[:, None]).max(axis=(1, 2)) + np.abs(rates).max(axis=1)
         wrong = np.abs(rates - linear).max(axis=1) > SETTINGS.linear * size
         said = f"row {int(wrong.argmax()) + 1}: nonlinear at this amplitude. Use a model that is linear, or a transient"
         return said if wrong.any() else ""

@@ -66,7 +66,14 @@ def test_forty_random_machines_have_honest_starts() -> None:
 
 @pytest.mark.parametrize(
     ("given", "value", "half"),
-    [("1.1 kW", 1100.0, 50.0), ("1100 W", 1100.0, 0.5), (1100, 1100.0, 0.5), (0.5, 0.5, 0.05), ("2.50", 2.5, 0.005)],
+    [
+        ("1.1 kW", 1100.0, 50.0),
+        ("1100 W", 1100.0, 0.5),
+        (1100, 1100.0, 0.5),
+        (0.5, 0.5, 0.05),
+        ("2.50", 2.5, 0.005),
+        ("1,10 kW", 1100.0, 5.0),
+    ],
 )
 def test_digits_are_those_printed(given: str | float, value: float, half: float) -> None:
     printed = Nameplate(P=given, U=400, I=2.6, n=1420, f=50).printed["P"]
@@ -85,6 +92,9 @@ def test_pole_pairs_follow_from_the_speed(n: float, f: float, pairs: int) -> Non
         ({"P": "1.1 kV"}, "P: unit 'kV' does not convert to 'W'"),
         ({"I": 0}, "I must be above 0"),
         ({"n": 0.02}, "n = 0.02 rpm is no rated speed|too near"),
+        ({"n": 1530}, "n = 1530 rpm is no rated speed at 50 Hz"),
+        ({"f": "60 Hz"}, "is no rated speed at 60 Hz"),
+        ({"U": "230 V"}, "P exceeds the electrical power of U, I and cos_phi. Give U between lines"),
         ({"n": 1500}, "n = 1500 rpm is no rated speed|too near the synchronous speed"),
         ({"Is_In": "9.5"}, "no machine has this nameplate: .* σ. Check its numbers"),
     ],

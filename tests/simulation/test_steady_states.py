@@ -60,6 +60,14 @@ def test_phasors_are_those_of_the_circuit() -> None:
         np.testing.assert_allclose(simulator(list(MACHINE.values())), table[list(columns.values())], rtol=1e-12)
 
 
+def test_phasors_at_synchronous_speed_are_those_of_the_open_circuit() -> None:
+    table = pd.DataFrame({"U": [230.0], "I": [1.0]})
+    experiment = SteadyExperiment(table, outputs={"I_rms": "I"}, supply=RotatingFrame(50.0, "U", slip=0.0))
+    found = simulator_of(System.of(INDUCTION), experiment, list(MACHINE))(list(MACHINE.values()))
+    impedance = complex(MACHINE["Rs"], 100.0 * np.pi * (MACHINE["Lm"] + MACHINE["Lf"]))
+    np.testing.assert_allclose(found, 230.0 / abs(impedance), rtol=1e-12)
+
+
 def test_units_of_headers_count() -> None:
     table = three_tests().assign(P=lambda found: found["P"] / 1e3)
     supply = RotatingFrame(50.0, "U", slip="s")
