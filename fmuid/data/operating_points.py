@@ -110,9 +110,12 @@ def check_rows(experiment: Experiment, columns: Iterable[str]) -> None:
         raise InputError(f"{source}: warmup needs a time. Remove it.")
     for column in columns:
         if column in experiment.frame:
-            missing = np.flatnonzero(np.isnan(numeric_column(experiment.frame, column, source)))
+            missing = np.flatnonzero(~np.isfinite(values := numeric_column(experiment.frame, column, source)))
             if missing.size:
-                raise InputError(f"{source}: input column {column!r} is empty in row {missing[0] + 1}. Remove the row.")
+                what = "empty" if np.isnan(values[missing[0]]) else "infinite"
+                raise InputError(
+                    f"{source}: input column {column!r} is {what} in row {missing[0] + 1}. Remove the row."
+                )
 
 
 def with_rows(frame: pd.DataFrame) -> pd.DataFrame:

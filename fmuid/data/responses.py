@@ -11,6 +11,7 @@ import numpy as np
 from annotated_types import Ge
 
 from fmuid.array_types import Floats
+from fmuid.data.data_file import numeric_column
 from fmuid.data.experiment import Experiment
 from fmuid.data.operating_points import ROW, check_rows, describe_rows, with_rows
 from fmuid.errors import InputError
@@ -99,6 +100,11 @@ class FrequencyExperiment(Experiment):
         self._set(outputs=response_columns(self.responses))
         check_rows(self, [self.frequency])
         super().__post_init__()
+        for each in (one for one in self.responses.values() if {"real", "imaginary"} <= one.columns.keys()):
+            parts = [numeric_column(self.frame, column, self.source) for column in each.columns.values()]
+            if (half := np.logical_xor(*np.isnan(parts))).any():
+                named = " and ".join(map(repr, each.columns.values()))
+                raise InputError(f"{self.source}: one of {named} is empty in row {half.argmax() + 1}. Empty both.")
 
     @property
     def design(self) -> str:

@@ -61,6 +61,7 @@ def test_random_machines_are_near_their_nameplates() -> None:
 def test_forty_random_machines_have_honest_starts() -> None:
     relative, scores = errors(40)
     assert np.median(np.abs(relative), axis=0).max() <= 0.025
+    assert 0.9 < np.sqrt(np.mean(scores**2)) < 1.1
     assert np.sqrt(np.mean(scores**2, axis=0)) == pytest.approx(1.0, abs=0.12)
 
 

@@ -132,12 +132,21 @@ def test_wrong_keys_are_refused_in_one_sentence(folder: Path, old: str, new: str
         study_of(folder, STEADY.replace(old, new)).problem()
 
 
-def test_a_row_without_an_input_is_refused(folder: Path) -> None:
+@pytest.mark.parametrize(("value", "what"), [(np.nan, "empty"), (np.inf, "infinite")])
+def test_a_row_without_an_input_is_refused(folder: Path, value: float, what: str) -> None:
     table = three_tests()
-    table.loc[2, "s"] = np.nan
+    table.loc[2, "s"] = value
     table.to_csv(folder / "tests.csv", index=False)
-    with pytest.raises(InputError, match=r"tests.csv: input column 's' is empty in row 3. Remove the row"):
+    with pytest.raises(InputError, match=rf"tests.csv: input column 's' is {what} in row 3. Remove the row"):
         study_of(folder).problem()
+
+
+def test_half_a_response_is_refused(folder: Path) -> None:
+    table = pd.DataFrame({"f": [1.0, 10.0], "|Z|": [4.0, np.nan], "phi": [1.0, 2.0]})
+    table.to_csv(folder / "spectrum.csv", index=False)
+    text = SPECTRUM.replace("magnitude =", "real =").replace("phase =", "imaginary =")
+    with pytest.raises(InputError, match=r"spectrum.csv: one of '\|Z\|' and 'phi' is empty in row 2. Empty both."):
+        study_of(folder, text).problem()
 
 
 def test_a_table_without_times_names_the_kind(folder: Path) -> None:
