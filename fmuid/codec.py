@@ -301,19 +301,27 @@ def read(path: Path, schema_name: str, kind: type[Item], remedy: str) -> Item:
     return decoded(path, content_of(path, schema_name, remedy), kind, remedy)
 
 
-def content_of(path: Path, schema_name: str, remedy: str) -> dict[str, Any]:
-    """Return the object of a JSON file; errors as in `read`."""
+def object_of(path: Path, remedy: str) -> dict[str, Any]:
+    """Return the object of a JSON file; raise `InputError` with the remedy if it has none."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror or error}") from None
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path} is not JSON ({bounded(str(error), _PLACE_SHOWN)}): {remedy}") from None
-    given = content.get("schema") if isinstance(content, dict) else None
+    if not isinstance(content, dict):
+        raise InputError(f"{path} has no JSON object: {remedy}")
+    return content
+
+
+def content_of(path: Path, schema_name: str, remedy: str) -> dict[str, Any]:
+    """Return the object of a JSON file; errors as in `read`."""
+    content = object_of(path, remedy)
+    given = content.get("schema")
     if given != schema_name:
         of = f"of schema {bounded(str(given), 60)!r}" if given else "of no schema"
         raise InputError(f"{path} is {of}, not {schema_name!r}: {remedy}")
-    return dict(content)
+    return content
 
 
 def decoded(path: Path, content: Any, kind: type[Item], remedy: str) -> Item:

@@ -192,7 +192,6 @@ def with_formulas(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def _with_texts(frame: pd.DataFrame, change: Callable[[Any], Any]) -> pd.DataFrame:
-    """Return a table with changed names and texts."""
     found = frame.rename(columns=change)
     for k, kind in enumerate(frame.dtypes):
         if kind.kind == "O":

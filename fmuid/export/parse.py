@@ -344,7 +344,6 @@ def _comment(rule: Any) -> str:
 
 
 def _text(rule: Any) -> str:
-    """Return the source text of a rule."""
     if rule.stop is None or rule.stop.tokenIndex < rule.start.tokenIndex:
         return ""
     return str(rule.start.getInputStream().getText(rule.start.start, rule.stop.stop))

@@ -42,8 +42,6 @@ def with_sensitivities(system: ExplicitModel, parameters: Sequence[str] | Litera
 
 
 class _Extra:
-    """Sensitivities to add to a model."""
-
     def __init__(self, system: ExplicitModel) -> None:
         self.system = system
         self.states: list[Declaration] = []

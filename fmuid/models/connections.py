@@ -66,7 +66,6 @@ def _loops(needs: Sequence[set[int]]) -> list[int]:
 
 
 def _loop(loop: Sequence[Connection], descriptions: Mapping[str, Description]) -> tuple[Connection, ...]:
-    """Return an algebraic loop of Real variables."""
     for component, output in (connection.source for connection in loop):
         kind = descriptions[component].variables[output].type
         if kind != "Real":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -12,9 +13,6 @@ import numpy.typing as npt
 from fmuid.array_types import Floats
 
 Phasors = npt.NDArray[np.complex128]
-AXES = ("rotor", "stator")
-"""Axes of a model: fixed to the rotor or to the stator."""
-TRANSFORMS = ("power-invariant", "amplitude-invariant")
 
 
 @dataclass(frozen=True)
@@ -28,7 +26,7 @@ class MachineTerminals:
     speed : str
         Input of the electrical speed, rad/s; "" without one.
     axes : "rotor" or "stator"
-        Axes of the model.
+        To which the axes of the model are fixed.
     transform : "power-invariant" or "amplitude-invariant"
         Transform from phases to axes.
     resistance : str
@@ -38,8 +36,8 @@ class MachineTerminals:
     voltages: tuple[str, str]
     currents: tuple[str, str]
     speed: str = ""
-    axes: str = "rotor"
-    transform: str = "power-invariant"
+    axes: Literal["rotor", "stator"] = "rotor"
+    transform: Literal["power-invariant", "amplitude-invariant"] = "power-invariant"
     resistance: str = ""
 
     @property

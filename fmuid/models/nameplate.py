@@ -8,10 +8,11 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from fmuid.codec import from_json
 from fmuid.errors import InputError
-from fmuid.files import is_file
+from fmuid.files import ContentError, is_file
 from fmuid.formatting import nearest
-from fmuid.models.machine_terminals import AXES, TRANSFORMS, MachineTerminals
+from fmuid.models.machine_terminals import MachineTerminals
 from fmuid.models.system import System
 
 
@@ -52,15 +53,7 @@ def _terminals(path: Path, given: Any) -> MachineTerminals:
         raise InputError(f"{path}: terminals must be a section.")
     for key in (each for each in given if each not in known):
         raise InputError(f"{path}: terminals: unknown key {key!r}{nearest(key, known)}. Use {', '.join(known)}.")
-    for key in ("voltages", "currents"):
-        pair = given.get(key)
-        if not (isinstance(pair, list) and len(pair) == 2 and all(isinstance(each, str) for each in pair)):
-            raise InputError(f'{path}: terminals: {key} must be two names, such as ["uds", "uqs"].')
-    for key, words in (("axes", AXES), ("transform", TRANSFORMS)):
-        if given.get(key, words[0]) not in words:
-            raise InputError(f"{path}: terminals: unknown {key} {given[key]!r}. Use {', '.join(words)}.")
-    texts = {key: given[key] for key in ("speed", "axes", "transform", "resistance") if key in given}
-    for key, text in texts.items():
-        if not isinstance(text, str):
-            raise InputError(f"{path}: terminals: {key} must be a text in quotes.")
-    return MachineTerminals(tuple(given["voltages"]), tuple(given["currents"]), **texts)
+    try:
+        return from_json(MachineTerminals, given)
+    except ContentError as error:
+        raise InputError(f"{path}: terminals: {error}. Correct it.") from None

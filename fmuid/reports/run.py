@@ -98,7 +98,6 @@ def _findings(
     tables: Sequence[str | Path],
     progress: Progress | None,
 ) -> Iterator[AnyFindings]:
-    """Yield the findings of a command."""
     from fmuid.runs import compared, diagnosed, identified, monitored, predicted_by, write_comparison, write_prediction
     from fmuid.studies import Study
 

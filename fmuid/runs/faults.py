@@ -96,7 +96,6 @@ def extended_baseline(study: Study, tables: Sequence[str | Path]) -> tuple[Path,
 
 
 def _healthy(study: Study) -> Baseline:
-    """Return the baseline of a study."""
     read = study.experiments[0].read_experiment
     return study.fault_search.healthy(study.model, study.parameters, study.noise, read)
 

@@ -81,8 +81,6 @@ def followed(study: Study, place: Path, folder: Path, say: Say) -> Generator[Fol
 
 
 class _Running:
-    """A monitoring in operation."""
-
     def __init__(self, study: Study, place: Path, folder: Path, say: Say) -> None:
         self.study, self.place, self.folder, self.say = study, place, folder, say
         self.key = _key(study)

@@ -108,8 +108,6 @@ def good_rows(path: Path, each: LogFile, words: ExperimentSettings, most: int) -
 
 
 class _Lines:
-    """New lines of a file."""
-
     def __init__(self, path: Path, each: LogFile, words: ExperimentSettings, head: bytes, content: bytes) -> None:
         self.path, self.each, self.words, self.head, self.content = path, each, words, head, content
         self.ends = 1 + np.flatnonzero(np.frombuffer(content, np.uint8) == ord("\n"))

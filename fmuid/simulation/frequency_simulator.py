@@ -40,7 +40,6 @@ class FrequencySimulator(PointSimulator):
         return self.system.variable(name, "signal").causality == "input"
 
     def _excited(self, name: str, response: Response) -> str:
-        """Return the input that a response varies."""
         inputs = [each for each in response.signals if each and self._is_input(each)]
         found = response.excited or next(iter(inputs), "")
         where = f"{self.experiment.source}: responses.{name}"

@@ -80,7 +80,6 @@ class SteadySimulator(PointSimulator):
         return outputs, reasons
 
     def _settle(self, theta: Floats) -> tuple[Floats, tuple[int, SteadyIssue] | None]:
-        """Return the signals (K, n) by simulation."""
         found = np.full((len(self.experiment.times), len(self.signals)), np.nan)
         for row in range(len(found)):
             values = self._settled.rest(row, theta)
@@ -113,7 +112,6 @@ class SteadySimulator(PointSimulator):
         return np.tile(start, (len(self.experiment.times), 1))
 
     def _from_simulations(self, points: PointModel, theta: Floats, found: SteadyStates) -> SteadyStates:
-        """Return the steady states that begin at simulated rest."""
         assert self.model is not None, "there are points"
         start, simulation = found.states.copy(), SettledSimulation(self.model, self._inputs, points.states, self._units)
         for row in np.flatnonzero(~found.found):

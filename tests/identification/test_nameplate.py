@@ -128,10 +128,10 @@ def test_a_model_without_declaration_has_no_starts(tmp_path: Path) -> None:
     [
         ("[terminal]", "unknown section 'terminal'"),
         ("[terminals]\nvoltage = 1", "unknown key 'voltage' .*'voltages'"),
-        ('[terminals]\nvoltages = ["u"]', "voltages must be two names"),
+        ('[terminals]\nvoltages = ["u"]', "voltages: the value should be a list of 2"),
         (
             '[terminals]\nvoltages = ["a", "b"]\ncurrents = ["c", "d"]\naxes = "x"',
-            "unknown axes 'x'. Use rotor, stator",
+            "axes: the value should be one of rotor, stator",
         ),
         ("[terminals", "not readable as TOML"),
         ("[starts]\nRs = 1", "starts must be formulas"),

@@ -109,7 +109,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 
 def _ran(given: Sequence[str]) -> int:
-    """Run a command and return its exit code."""
     try:
         code: Any = _with_command(given)(given or ["--help"], standalone_mode=False, prog_name="fmuid")
     except InputError as error:

@@ -19,8 +19,6 @@ _SIGNALS = (signal.SIGINT, *_ENDING)
 
 
 class _Interruption:
-    """State of the interruption by signals."""
-
     def __init__(self) -> None:
         self.begin()
 

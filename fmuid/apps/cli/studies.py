@@ -235,7 +235,6 @@ def _report(run: Callable[..., Iterator[Any]], folder: Path, *, report: bool, fi
 def _follow(
     study: Study, data: list[Path], folder: Path, *, resume: bool, figures: FigureFormat | None, report: bool
 ) -> int:
-    """Monitor growing data until an interruption."""
     from fmuid.reports.documents import document
     from fmuid.reports.publish import publish
     from fmuid.reports.render.console import show_files

@@ -107,7 +107,6 @@ def _state(result: FoundResult, study: FoundStudy) -> str:
 
 
 def _values(content: Any) -> str:
-    """Return the first estimates as HTML."""
     from fmuid.formatting import with_std
 
     rows = list((content.get("parameters") or {}).items())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -10,7 +9,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from fmuid.codec import from_json
+from fmuid.codec import from_json, object_of
 from fmuid.errors import InputError
 from fmuid.files import ContentError, full, is_file, is_folder, relative
 from fmuid.runs import IdentificationRun
@@ -45,12 +44,7 @@ _KINDS: dict[str, type] = {"result.json": IdentificationRun, "batch.json": Batch
 
 def read_json(path: Path) -> dict[str, Any]:
     """Return the content of a JSON file of a command, checked."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{path} cannot be read: {error}") from None
-    if not isinstance(content, dict):
-        raise InputError(f"{path} is not a file of fmuid: no JSON object")
+    content = object_of(path, "run its command again")
     try:
         if path.name in _KINDS:
             from_json(_KINDS[path.name], content)

@@ -359,7 +359,6 @@ class _Plot:
 
 
 def _annotations(layer: Layer) -> list[BokehSpec]:
-    """Return lines across and shaded parts."""
     color = COLORS[layer.color]
     columns = {side: np.atleast_1d(np.asarray(each, np.float64)).tolist() for side, each in layer.data.items()}
     if layer.mark == "zone":

@@ -225,7 +225,6 @@ class _Marks:
 
 
 def _shades(shades: Shades) -> ScalarMappable:
-    """Return the colors of a scale."""
     scale: type[Normalize] = LogNorm if shades.log else Normalize
     missing = COLORS["white"] if shades.title else MISSING
     return ScalarMappable(scale(shades.low, shades.high), ListedColormap(palette(shades.palette), bad=missing))
@@ -261,7 +260,6 @@ def _words(text: str) -> str:
 
 
 def _across(axes: Axes, layer: Layer) -> None:
-    """Draw lines across, or shade parts."""
     columns = {side: np.atleast_1d(np.asarray(each, np.float64)) for side, each in layer.data.items()}
     color = to_rgba(COLORS[layer.color], layer.alpha)
     if layer.mark == "rule":

@@ -115,7 +115,6 @@ class Display:
 
 
 def _line(event: Event) -> str:
-    """Return an event as a line."""
     if isinstance(event, SearchStep):
         more = "  ..." if len(event.values) > LINE_VALUES else ""
         return f"{_head(event)}  {_listed(event.values)}{more}"

@@ -61,7 +61,6 @@ def _initial_states(experiments: Sequence[Experiment], errors: ModelErrors | Non
 
 
 def _interpolations(experiments: Sequence[Experiment], errors: ModelErrors | None, guessed: set[str]) -> Iterator[Row]:
-    """Yield each interpolation with its inputs."""
     words: dict[str, list[str]] = {}
     for each in experiments:
         for name, held in zip(each.input_names, each.held.tolist(), strict=True):
@@ -93,7 +92,6 @@ def _delay(result: Result) -> Iterator[Row]:
 
 
 def _noise(result: Result) -> Iterator[Row]:
-    """Yield each kind of noise with its outputs."""
     orders: dict[int, list[str]] = {}
     for model in () if result.fit.noise is None else result.fit.noise.models:
         orders.setdefault(model.process.coefficients.size, []).append(model.series.output)

@@ -93,7 +93,6 @@ def _iterations(trace: pd.DataFrame) -> Axis:
 
 
 def _parameters(trace: pd.DataFrame, estimates: pd.DataFrame) -> list[Chart]:
-    """Return each parameter over the accepted iterations."""
     accepted = trace[trace["accepted"].astype(bool)]
     iterations, cost = (accepted[name].to_numpy(np.float64) for name in ("iteration", "cost"))
     across, charts = _iterations(trace), []

@@ -237,7 +237,6 @@ def _values(each: CombinationFit) -> str:
 
 
 def _attempts(result: Result) -> list[Remark]:
-    """Return the restarts and their outcome."""
     tried = result.history.restarts
     if not tried:
         return []

@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 
 from fmuid.array_types import Indices
+from fmuid.codec import object_of
 from fmuid.display_mixins import HtmlTableMixin, PlotMixin
 from fmuid.errors import InputError
 from fmuid.events import BatchStep, Progress
@@ -201,7 +202,7 @@ class Batch(HtmlTableMixin):
         if resume and self.dataset.parts():
             if not path.exists():
                 raise InputError(f"{self.folder}: cases without {MANIFEST}. {_REMEDY}")
-            found = changes(_read_manifest(path), bundle.manifest())
+            found = changes(object_of(path, _REMEDY), bundle.manifest())
             if found:
                 raise InputError(f"{self.folder}: cases of another batch ({'; '.join(found)}). {_REMEDY}")
             return self.dataset.repair()
@@ -221,7 +222,7 @@ class Batch(HtmlTableMixin):
         try:
             with crew(self._scheduler, self._workers) as there, contextlib.closing(writer):
                 if there.dashboard:
-                    self._write_manifest(_read_manifest(self.folder / MANIFEST) | {"dashboard": there.dashboard})
+                    self._write_manifest(object_of(self.folder / MANIFEST, _REMEDY) | {"dashboard": there.dashboard})
                 results = there.run(bundle.parcel, pending, lambda case: record(self.cases.table_of(case)))
                 with contextlib.closing(results):
                     for result in results:
@@ -286,14 +287,3 @@ class _Counter:
         left = (total - done) / rate if rate else math.inf
         failed = self._counts["failed"]
         return BatchStep(done=done, total=total, failed=failed, rate=rate, left=left, threads=threads)
-
-
-def _read_manifest(path: Path) -> dict[str, Any]:
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-        if isinstance(found, dict):
-            return found
-        said = "no table"
-    except (OSError, ValueError, RecursionError) as error:
-        said = str(error)
-    raise InputError(f"{path}: read failed ({said}). {_REMEDY}")

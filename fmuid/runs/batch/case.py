@@ -185,7 +185,6 @@ class CaseRunner:
 
 
 def _words_of(result: Result) -> dict[str, object]:
-    """Return the columns of a result."""
     std, check = np.where(np.isfinite(result.std), result.std, np.nan), result.accuracy
     return {
         "status": "converged" if result.converged else "not converged",

@@ -147,7 +147,6 @@ class CaseList:
 
     @cached_property
     def _design(self) -> list[list[float]]:
-        """The points of the space-filling design."""
         sample = self.settings.space_filling
         return [] if sample is None else design(sample, self.settings.seed).tolist()
 
@@ -178,7 +177,6 @@ class CaseList:
 
     @cached_property
     def _started(self) -> tuple[str, ...]:
-        """The parameters with varied starts."""
         given = self.settings.starting_points
         named = self._free if isinstance(given, int) else {name for start in given or () for name in start}
         return tuple(name for name in self._free if name in named)

@@ -67,7 +67,6 @@ class Dataset:
         return found
 
     def _load(self, path: Path, names: Sequence[str]) -> pa.Table:
-        """Return columns of a part."""
         with _whole(path):
             table = _opened(path).read(list(names)).cast(pa.schema([self.schema.field(name) for name in names]))
             cases = table["case"].to_numpy()

@@ -134,8 +134,6 @@ def changes(earlier: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
 
 
 def _renamed(study: Mapping[str, Any], rename: Callable[[str], str]) -> dict[str, Any]:
-    """Return a study with other names of files."""
-
     def change(value: Any, key: str) -> Any:
         return rename(value) if isinstance(value, str) and key in FILE_KEYS else value
 

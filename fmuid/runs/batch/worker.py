@@ -121,7 +121,6 @@ _parcels: weakref.WeakSet[StudyPackage] = weakref.WeakSet()
 
 
 def _open_study(parcel: StudyPackage) -> OpenStudy:
-    """Return the study of this thread."""
     thread = threading.get_ident()
     if thread not in parcel.opened:
         parcel.opened[thread] = OpenStudy(parcel)

@@ -189,7 +189,6 @@ def crew(scheduler: str | None = None, workers: int | None = None) -> Iterator[W
 
 @contextlib.contextmanager
 def _scratch_folder() -> Iterator[Path]:
-    """Give workers a private folder."""
     try:
         made = tempfile.TemporaryDirectory(prefix="fmuid-batch-", ignore_cleanup_errors=True)
     except OSError as error:

@@ -266,9 +266,9 @@ def test_a_folder_without_its_manifest(folder: Path, here: Any, capsys: Any) -> 
     path.unlink()
     assert "cases without batch.json" in refused(capsys, folder / "study.toml", "-o", folder / "out")
     for damaged, told in (
-        ("[]", "read failed (no table)"),
-        ('{"fmuid": "0.1.0", "stu', "read failed (Unterminated string"),
-        ("[" * 100_000, "read failed ("),
+        ("[]", "has no JSON object"),
+        ('{"fmuid": "0.1.0", "stu', "is not JSON (Unterminated string"),
+        ("[" * 100_000, "is not JSON ("),
         ('{"fmuid": "0.0.9", "study": [], "files": ["a"]}', "made by fmuid 0.0.9, this is "),
     ):
         path.write_text(damaged)

@@ -96,7 +96,6 @@ class BatchPage:
         self._tell(parts)
 
     def _tell(self, parts: list[Path]) -> None:
-        """Show progress, rate and errors."""
         done, total = len(self.frame), int(self.manifest.get("cases") or 0)
         failed = int((self.frame["status"].astype(str) == "failed").sum()) if done else 0
         words = [f"{done} of {total} cases" if total else f"{done} cases"] + ([f"{failed} failed"] if failed else [])
@@ -118,7 +117,6 @@ class BatchPage:
             self.state.text = text
 
     def _draw(self) -> None:
-        """Draw the estimates so far."""
         if "status" in self.frame and (self.frame["status"].astype(str) == "converged").any():
             truth = {name: value for name, value in (self.manifest.get("truth") or {}).items() if value is not None}
             charts = over_cases(self.frame, truth, self._units())
@@ -134,7 +132,6 @@ class BatchPage:
             return {}
 
     def _filter(self) -> None:
-        """Show the filtered rows."""
         frame = self.frame
         if not len(frame):
             return
@@ -171,7 +168,6 @@ class BatchPage:
             self.case.text = f"<p class=error role=alert>No case {escaped(text)} yet.</p>"
 
     def _show(self, case: int) -> None:
-        """Show one case and its output."""
         found = self.frame[self.frame["case"] == case].iloc[0]
         cells = "".join(
             f"<tr><th scope=row>{escaped(name)}</th><td>{escaped(value)}</td></tr>"

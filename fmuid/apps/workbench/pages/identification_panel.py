@@ -83,7 +83,6 @@ class IdentificationPanel:
         return charts
 
     def _draw(self) -> None:
-        """Show the iterations so far."""
         charts = self._charts()
         if self.drawn is None or len(charts) != len(self.shown):
             self.drawn = drawing(charts, source=ColumnDataSource)
@@ -120,7 +119,6 @@ class IdentificationPanel:
         self.search.children = [self.hint]
 
     def _add(self, events: Sequence[Event]) -> None:
-        """Draw new iterations, and move the sliders."""
         steps = [each for each in events if isinstance(each, SearchStep)]
         taken = [each for each in steps if each.accepted]
         for each in taken:

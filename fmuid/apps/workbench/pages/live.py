@@ -170,7 +170,6 @@ class LiveFit:
         return self._still
 
     def _grid(self) -> ChartGrid:
-        """Return the charts of the visible time range."""
         rows, count = self.stretch.rows, len(self.outputs)
         t_dots, _, t_ghost, _ = self._kept(rows)
         shown, measured = self.record.simulated[rows, :count], self.record.measured[rows, :count]
