@@ -16,8 +16,8 @@ import numpy as np
 from fmuid.array_types import Floats
 from fmuid.codec import as_json, from_json
 from fmuid.data import Experiment, Noise, Parameter, read_arrays, write_arrays
-from fmuid.diagnosis.causes import ChangeParameterSet
-from fmuid.diagnosis.faults import common_mode
+from fmuid.diagnosis.causes import ChangeParameterSet, name_of
+from fmuid.diagnosis.faults import VARIANT, common_mode
 from fmuid.diagnosis.information_matrix import InformationMatrix, Whitening
 from fmuid.diagnosis.operating_points import OperatingPoints
 from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUAL
@@ -73,7 +73,9 @@ class MachineDigest:
         for name, fault in coordinates.faults.items():
             said = (list(fault.parameters), fault.variable_map, fault.angles, fault.values, fault.inputs)
             models[name] = _digest(_model(System.of(fault.model)), said)
-        names = tuple(f"{each.name}{' across' * each.second}" for each in coordinates.each)
+        names = tuple(
+            f"{name_of(each.kind, each.variable, each.fault)}{' across' * each.second}" for each in coordinates.each
+        )
         noise, records = as_json(baseline.noise_variance), tuple(map(digest_of_record, baseline.records))
         return cls(models, names, coordinates.healthy, noise, records)
 
@@ -82,7 +84,8 @@ class MachineDigest:
         if any(self.models.get(name) != digest for name, digest in asked.models.items()):
             return BaselineSource.OTHER_MODELS
         mine, theirs = set(self.coordinates), set(asked.coordinates)
-        if not theirs <= mine or not (fewer or mine == theirs):
+        alike = theirs in (mine, {name for name in mine if VARIANT not in name})  # monitoring takes no variants
+        if not theirs <= mine or not (fewer or alike):
             return BaselineSource.OTHER_CAUSES
         # equal but for the last digits of a text file
         if not np.allclose(self.healthy[self._places(asked)], asked.healthy, rtol=1e-9, atol=0.0):

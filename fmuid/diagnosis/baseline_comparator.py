@@ -15,7 +15,7 @@ from fmuid.diagnosis.baseline import Baseline, BaselineSource, MachineDigest, St
 from fmuid.diagnosis.cause_analysis import BaselineStatistics, error_of, shown_by, whitening_of
 from fmuid.diagnosis.causes import SETTINGS as CAUSES
 from fmuid.diagnosis.causes import Causes, ChangeParameterSet, coordinates_of
-from fmuid.diagnosis.faults import Fault
+from fmuid.diagnosis.faults import Fault, with_variants
 from fmuid.diagnosis.information_matrix import ChangePrior, Whitening
 from fmuid.diagnosis.linearized_machine import LinearizedMachine
 from fmuid.errors import InputError
@@ -89,12 +89,12 @@ class BaselineComparator:
         """Return κ: the largest of the known faults' data, or without them the stated one."""
         if not self.baseline.trials:
             return stated
-        causes, found = {cause.name: cause for cause in self.coordinates.causes}, []
+        causes, found = self.coordinates.by_name, []
         for name, records in self.baseline.trials.items():
             if name not in causes:
                 raise InputError(f"known_fault_data.{name}: unknown cause{nearest(name, causes)}")
             for each in records:
-                shown = error_of(self.machine(each), self.healthy, self.coordinates, causes[name], level)
+                shown = error_of(self.machine(each), self.healthy, self.coordinates, name, level)
                 if math.isnan(shown):
                     remedy = "Use data with a larger fault, or remove it."
                     raise InputError(f"{each.source}: no change by {name} found. {remedy}")
@@ -120,7 +120,7 @@ def compute_stored_baseline(
     SimulationError
         If the healthy machine cannot be simulated.
     """
-    shown = BaselineComparator.of(system, baseline, faults, causes, []).shown
+    shown = BaselineComparator.of(system, baseline, with_variants(faults), causes, []).shown
     assert shown is not None  # there are records
     return shown
 
@@ -142,7 +142,7 @@ def extend_stored_baseline(
     if known is None:
         whole = replace(baseline, records=[*baseline.records, *records])
         return compute_stored_baseline(whole, faults, system, causes)
-    made = BaselineComparator.of(system, replace(baseline, records=()), faults, causes, records)
+    made = BaselineComparator.of(system, replace(baseline, records=()), with_variants(faults), causes, records)
     assert made.shown is not None and made.shown.subject is not None  # the file serves
     digests = [digest_of_record(each) for each in records]
     for digest, each in zip(digests, records, strict=True):

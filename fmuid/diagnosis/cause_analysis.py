@@ -131,7 +131,7 @@ def examine(
         naming.probability,
         naming.alarm,
         explanations(naming.named, coordinates),
-        tuple(score(cause, at.news, at.causes, coordinates) for cause in coordinates.causes),
+        tuple(score(_strongest(own, at.news), at.news, at.causes, coordinates) for own in coordinates.by_name.values()),
         model_error,
         naming.temper,
         work.variance(at.point),
@@ -145,17 +145,24 @@ def examine(
 
 
 def error_of(
-    trial: LinearizedMachine, healthy: BaselineStatistics, coordinates: ChangeParameterSet, cause: Cause, level: float
+    trial: LinearizedMachine, healthy: BaselineStatistics, coordinates: ChangeParameterSet, name: str, level: float
 ) -> float:
     """Return κ by a record with one known cause: √(D₂|₁/D₁)/3; NaN without a change."""
-    found = examine([trial], healthy, replace(coordinates, causes=(cause,)), level, model_error=0.0)
+    variants = coordinates.by_name[name]
+    found = examine([trial], healthy, replace(coordinates, causes=variants), level, model_error=0.0)
     if not found.naming.alarm:
         return math.nan
     news = found.at.news
+    cause = _strongest(variants, news)
     plain, own = replace(cause, sign=0), fit(news, (cause,)).statistic
-    others = [replace(each, sign=0) for each in coordinates.causes if each is not cause]
+    others = [replace(each, sign=0) for each in coordinates.causes if each.name != name]
     left = [fit(news, (plain, other)).statistic - own - len(other.columns) for other in others]
     return math.sqrt(max(0.0, *left) / own) / SETTINGS.tolerated if left else 0.0
+
+
+def _strongest(variants: Sequence[Cause], news: ScoreStatistics) -> Cause:
+    """Return the variant of a cause that explains most."""
+    return max(variants, key=lambda each: fit(news, (each,)).statistic)
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -93,9 +94,19 @@ def rank_with_model_error(
     sets = _pairs(news, causes, max(alone.values()), temper, level) or [(cause,) for cause in causes]
     evidence = news.tempered(temper)
     found = np.array([log_bayes_factor(evidence, each) + sum(math.log(c.probability) for c in each) for each in sets])
-    odds = np.exp(found - found.max())
-    order = [i for i in np.argsort(-odds, kind="stable") if odds[i] * SETTINGS.odds > 1.0]
-    return temper, tuple(CauseSet(sets[i], float(odds[i]), estimate_sizes(news, sets[i], model_error)) for i in order)
+    variants, best = Counter(cause.name for cause in causes), found.max()
+    groups: dict[tuple[str, ...], list[int]] = {}
+    for i in np.argsort(-found, kind="stable").tolist():
+        groups.setdefault(tuple(cause.name for cause in sets[i]), []).append(i)
+    means = {names: math.prod(variants[name] for name in names) for names in groups}
+    odds = {names: float(np.exp(found[each] - best).sum()) / means[names] for names, each in groups.items()}
+    most = max(odds.values())
+    ranked = sorted((names for names in groups if odds[names] * SETTINGS.odds > most), key=lambda names: -odds[names])
+    named = []
+    for names in ranked:
+        fits = [estimate_sizes(news, sets[i], model_error) for i in groups[names]]
+        named.append(CauseSet(sets[groups[names][0]], odds[names] / most, mixture(fits, found[groups[names]])))
+    return temper, tuple(named)
 
 
 def _pairs(
@@ -104,7 +115,7 @@ def _pairs(
     """Return candidate pairs; none if a single cause explains as much."""
     if len(causes) < 2:
         return []
-    pairs = list(itertools.combinations(causes, 2))
+    pairs = [pair for pair in itertools.combinations(causes, 2) if pair[0].name != pair[1].name]
     gains = (_together(news, pairs) - single) / temper
     best = int(np.argmax(gains))
     more = max(len(cause.columns) for cause in pairs[best])
@@ -156,6 +167,16 @@ def estimate_sizes(news: ScoreStatistics, causes: Sequence[Cause], model_error: 
     return replace(found, covariance=found.covariance + found.covariance @ shift @ found.covariance + wrong)
 
 
+def mixture(fits: Sequence[CauseFit], log_weights: Floats) -> CauseFit:
+    """Return mean and covariance of the sizes of variants with these log weights; the statistic of the first."""
+    weights = special.softmax(log_weights)
+    sizes = np.array([each.sizes for each in fits])
+    mean = weights @ sizes
+    spread = np.einsum("k,ki,kj->ij", weights, sizes - mean, sizes - mean)
+    within = np.einsum("k,kij->ij", weights, np.array([each.covariance for each in fits]))
+    return CauseFit(fits[0].statistic, mean, within + spread)
+
+
 def log_bayes_factor(news: ScoreStatistics, causes: Sequence[Cause]) -> float:
     """Return the log Bayes factor of some causes against no change.
 
@@ -205,7 +226,7 @@ def angle(news: ScoreStatistics, one: Cause, other: Cause) -> float:
 
 def nearest_cause(news: ScoreStatistics, cause: Cause, others: Sequence[Cause]) -> tuple[str, float]:
     """Return name and angle, rad, of the cause with the nearest signature; "" and NaN without others."""
-    angles = {other.name: angle(news, cause, other) for other in others}
+    angles = {other.name: angle(news, cause, other) for other in others if other.name != cause.name}
     return min(angles.items(), key=lambda each: each[1], default=("", math.nan))
 
 

@@ -187,7 +187,7 @@ def changes(causes: Sequence[Cause], found: CauseFit, coordinates: ChangeParamet
 
 def _change(coordinates: ChangeParameterSet, cause: Cause, size: Floats, covariance: Floats) -> EstimatedChange:
     of = coordinates.each[cause.columns[0]]
-    what = of.kind, of.variable, of.fault
+    what = of.kind, of.variable, of.fault_name
     if len(size) == 1:
         std, limits = math.sqrt(float(covariance[0, 0])), coordinates.limits(of)
         return EstimatedChange(*what, float(size[0]), std, of.unit, *limits)
@@ -207,7 +207,7 @@ def score(
     if cause not in determined:
         at = coordinates.each[cause.columns[0]]
         return CauseScore(
-            EstimatedChange(at.kind, at.variable, at.fault, 0.0, math.inf, at.unit), 0.0, 1.0, "", math.nan
+            EstimatedChange(at.kind, at.variable, at.fault_name, 0.0, math.inf, at.unit), 0.0, 1.0, "", math.nan
         )
     alone = fit(news, (cause,))
     (change,) = changes((cause,), alone, coordinates)

@@ -17,7 +17,7 @@ from annotated_types import Gt
 
 from fmuid.array_types import Flags, Floats
 from fmuid.data import LINES, Experiment, Parameter
-from fmuid.diagnosis.faults import Fault
+from fmuid.diagnosis.faults import VARIANT, Fault
 from fmuid.errors import InputError
 from fmuid.models import System
 
@@ -132,13 +132,18 @@ class ChangeParameter:
     unit: str
     step: float  # of derivatives
     normal: float  # standard deviation in a sound machine; of healthy parameters more than any record leaves
-    fault: str = ""  # of a fault parameter
+    fault: str = ""  # of a fault parameter, with its variant
     second: bool = False  # second component of a vector of the plane
 
     @property
     def name(self) -> str:
         """Name of its cause."""
-        return name_of(self.kind, self.variable, self.fault)
+        return name_of(self.kind, self.variable, self.fault_name)
+
+    @property
+    def fault_name(self) -> str:
+        """Name of the fault without its variant."""
+        return self.fault.partition(VARIANT)[0]
 
     @property
     def quantity(self) -> str:
@@ -155,6 +160,14 @@ class ChangeParameterSet:
     causes: tuple[Cause, ...]
     healthy: Floats  # (N,), parameters of the healthy machine, zero for all else
     faults: Mapping[str, Fault] = field(default_factory=dict)
+
+    @property
+    def by_name(self) -> dict[str, tuple[Cause, ...]]:
+        """Causes by name; the variants of a fault share one."""
+        found: dict[str, tuple[Cause, ...]] = {}
+        for cause in self.causes:
+            found[cause.name] = (*found.get(cause.name, ()), cause)
+        return found
 
     @property
     def normal(self) -> Floats:

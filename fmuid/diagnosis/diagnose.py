@@ -22,7 +22,7 @@ from fmuid.diagnosis.cause_ranking import SETTINGS as CAUSE_RANKING
 from fmuid.diagnosis.cause_results import ChangeEvidence, EstimatedChange, Explanation
 from fmuid.diagnosis.causes import CauseKind, Causes
 from fmuid.diagnosis.diagnosis_result import BaselineDeviation, Diagnosis
-from fmuid.diagnosis.faults import Fault, checked_faults
+from fmuid.diagnosis.faults import VARIANT, Fault, checked_faults, with_variants
 from fmuid.diagnosis.linearized_machine import LinearizedMachine
 from fmuid.diagnosis.rule import FALSE_ALARM_LEVEL, MODEL_ERROR
 from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUAL
@@ -119,7 +119,8 @@ def diagnose(
     listed = [experiments] if isinstance(experiments, Experiment) else list(experiments)
     how, tell = settings or DiagnosisSettings(), progress or (lambda _: None)
     tell(FaultStep(share=0.0, fault=None))
-    made = BaselineComparator.of(System.of(model), known, faults, how.causes if known.beside else None, listed)
+    causes = how.causes if known.beside else None
+    made = BaselineComparator.of(System.of(model), known, with_variants(faults), causes, listed)
     kappa = made.model_error(how.model_error, how.level)
     machines = [made.machine(each) for each in listed]
     found = examine(machines, made.healthy, made.coordinates, how.level, kappa)
@@ -159,7 +160,8 @@ def _mismatched(machines: Sequence[LinearizedMachine], made: BaselineComparator)
         std = [made.healthy.whitening.std(output) for output in machine.experiment.output_names]
         for name, apart in machine.apart_at_zero().items():
             squares[name] += float(np.sum((apart / std)[machine.experiment.counted] ** 2))
-    return tuple(name for name, value in squares.items() if value > SAME_CRITERION)
+    apart_at = (name.partition(VARIANT)[0] for name, value in squares.items() if value > SAME_CRITERION)
+    return tuple(dict.fromkeys(apart_at))
 
 
 def _unexplained(evidence: ChangeEvidence, found: Examination, freedom: float, level: float) -> VarianceRatio:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, TypeVar, cast
 
+import numpy as np
 from annotated_types import Gt
 
 from fmuid.data import Experiment, Normal, Parameter
@@ -17,6 +19,7 @@ from fmuid.formatting import nearest, of_one_experiment
 from fmuid.models import FMU, System
 
 T = TypeVar("T")
+VARIANT = "\n"  # between the name of a fault and the number of its variant
 
 
 @dataclass(frozen=True)
@@ -63,6 +66,8 @@ class Fault:
         Fixed variables of this model.
     inputs : mapping of str to str
         Inputs of this model alone, and their columns.
+    nuisance : mapping of str to sequence of float
+        Possible values of details that no record shows beside the size. A diagnosis averages over them.
 
     Raises
     ------
@@ -83,6 +88,7 @@ class Fault:
     angles: Mapping[str, FaultAngle] | Sequence[str] = ()
     values: Mapping[str, float | int | bool | str] = field(default_factory=dict)
     inputs: Mapping[str, str] = field(default_factory=dict)
+    nuisance: Mapping[str, Sequence[float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.parameters:
@@ -97,6 +103,11 @@ class Fault:
         for name in self.angles:
             if name not in self.parameters:
                 raise InputError(f"unknown angle {name!r}{nearest(name, self.parameters)}")
+        for name, values in self.nuisance.items():
+            if name in self.parameters or not (len(values) and np.isfinite(values).all()):
+                raise InputError(f"nuisance.{name}: needs finite values of a variable that is no fault parameter")
+        middle = {name: sorted(values)[len(values) // 2] for name, values in self.nuisance.items()}
+        object.__setattr__(self, "values", {**self.values, **middle})
         object.__setattr__(self, "angles", self._angles())
         for name in self.sizes:
             if not self.parameters[name].min <= 0.0 <= self.parameters[name].max:
@@ -186,6 +197,17 @@ class Fault:
             units=self.own_names(experiment.units),
             observation=None if observation is None else observation.renamed(self.variable_map),
         )
+
+
+def with_variants(faults: Mapping[str, Fault]) -> dict[str, Fault]:
+    """Return faults, and beside each those with the other values of its nuisance: name, `VARIANT`, number."""
+    found = dict(faults)
+    for name, fault in faults.items():
+        grid = (dict(zip(fault.nuisance, each, strict=True)) for each in itertools.product(*fault.nuisance.values()))
+        others = (each for each in grid if each.items() - fault.values.items())
+        for k, each in enumerate(others):
+            found[f"{name}{VARIANT}{k}"] = replace(fault, values={**fault.values, **each}, nuisance={})
+    return found
 
 
 def checked_faults(faults: Mapping[str, Fault]) -> dict[str, Fault]:

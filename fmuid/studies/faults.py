@@ -61,6 +61,7 @@ class FaultSection(ModelSection):
     )
     variable_map: kinds.Texts = entry({}, "variable of the study = variable of this model")
     inputs: kinds.Columns = entry({}, "further inputs of this model")
+    nuisance: dict[str, kinds.Numbers] = entry({}, "possible values of details, { lag = [0.001, 0.002] }; averaged")
 
     @property
     def own_model(self) -> ParsedModel | None:
@@ -95,6 +96,7 @@ class FaultSection(ModelSection):
                 self.angles,
                 {**model.values, **values} if own is None else values,
                 self.inputs,
+                self.nuisance,
             )
 
 

@@ -17,6 +17,7 @@ from fmuid.diagnosis.cause_ranking import (
     estimate_sizes,
     log_bayes_factor,
     name,
+    rank_with_model_error,
 )
 from fmuid.diagnosis.causes import Cause
 from fmuid.diagnosis.change_detection import MinPDistribution, fit
@@ -167,3 +168,26 @@ def test_model_error_moves_the_other_size() -> None:
     assert np.cov(np.array(pair).T) == pytest.approx(stated, rel=0.15)
     first = ScoreStatistics(information, information[:, 0] * sizes[0])
     assert np.std(one) == pytest.approx(math.sqrt(estimate_sizes(first, causes[:1], kappa).covariance[0, 0]), rel=0.1)
+
+
+def test_variants_of_a_cause_are_averaged() -> None:
+    """Evidence is the mean over the grid, the size has the law of the mixture, and no pair is of one cause twice."""
+    one, two = Cause("turns", (0,), 1.5), Cause("turns", (1,), 1.5)
+    other = Cause("gain", (2,), 1.0)
+    news = ScoreStatistics(INFORMATION, np.array([3.0, 2.0, 3.0]))
+    _, found = rank_with_model_error(news, (one, two, other), 0.01, 0.0)
+    (turns,) = (each for each in found if each.names == ("turns",))
+    weights = np.exp([log_bayes_factor(news, (one,)), log_bayes_factor(news, (two,))])
+    fits = [fit(news, (each,)) for each in (one, two)]
+    draws = np.random.default_rng(5).choice(2, 200_000, p=weights / weights.sum())
+    sizes = np.array([each.sizes[0] for each in fits])[draws]
+    sizes = sizes + np.sqrt([each.covariance[0, 0] for each in fits])[draws] * np.random.default_rng(6).standard_normal(
+        draws.size
+    )
+    assert turns.fit.sizes[0] == pytest.approx(sizes.mean(), abs=0.01)
+    assert turns.fit.covariance[0, 0] == pytest.approx(sizes.var(), rel=0.02)
+    assert turns.causes == ((one, two)[int(np.argmax(weights))],)
+    odds = {each.names: each.odds for each in found}
+    expected = np.exp(log_bayes_factor(news, (other,))) / weights.mean()
+    assert odds["gain",] / odds["turns",] == pytest.approx(expected)
+    assert ("turns", "turns") not in odds

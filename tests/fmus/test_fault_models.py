@@ -83,7 +83,8 @@ def test_zero_short_circuit_is_the_healthy_stator(frame: pd.DataFrame) -> None:
     found = run(models.stator(), frame, [*INPUTS, "theta"], outputs, MACHINE)
     np.testing.assert_array_equal(found, healthy)
     stator = ["uds", "uqs", "theta"], ["ids", "iqs"]
-    np.testing.assert_array_equal(run(path("StatorShortCircuitContact"), frame, *stator, {"Rs": 8.5}), 0.0)
+    for name in ("StatorShortCircuitContact", "StatorShortCircuitLeakage"):
+        np.testing.assert_array_equal(run(path(name), frame, *stator, {"Rs": 8.5}), 0.0)
 
 
 @pytest.mark.parametrize("phase", range(3))

@@ -24,6 +24,19 @@ def short_circuit(_: Any, u: Any, p: Any) -> Any:
     return sum(2 / 3 * p[f"eta_{phase}"] / p["Rs"] * back @ towards(angle) @ there @ u[:2] for phase, angle in ratios)
 
 
+AXES = np.array([(np.cos(a), np.sin(a)) for a in (0, 2 * np.pi / 3, 4 * np.pi / 3)])  # of the phases, in the stator
+
+
+def leaking_turns(x: Any, u: Any, p: Any) -> Any:
+    """Each phase's added current follows that without leakage, with a lag."""
+    ratios = np.array([p[f"eta_{phase}"] for phase in "abc"])
+    return (2 / 3 * ratios / p["Rs"] * (AXES @ rotation(u[2]) @ u[:2]) - x) / p["lag"]
+
+
+def along_axes(x: Any, u: Any, _: Any) -> Any:
+    return rotation(-u[2]) @ AXES.T @ x
+
+
 def broken_bars(x: Any, u: Any, p: Any) -> Any:
     """u = Rs i + dψ/dt + w J ψ with ψ = Lf i + φ, dφ/dt = R_eq (i - φ/Lm)."""
     alpha, turn = 2 / 3 * p["eta0"], np.array([[0, -1], [1, 0]])

@@ -1,0 +1,130 @@
+"""Campaign: diagnosis of a machine in its windings, every record at an operating point and temperature of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fmuid
+from fmuid.diagnosis import compute_stored_baseline
+from tests.support.winding_machine import MACHINE, STUDY_AXES, Condition, Drive, excitation, tables
+
+FMUS = "fmus"
+NOISE, COUNT, SETS = 0.1, 2000, 4
+SOUND = Condition()
+IMPERFECT = Condition(saturation=0.15, gain=(0.02, -0.01), dead_time=1.5)
+LAGS = [share * MACHINE["Lf"] / MACHINE["Rs"] for share in (0.1, 0.25, 0.5)]  # of turns with this leakage
+SHARED = ("Rs", "uds", "uqs")
+STD_FACTOR = {"Rs": 60.0, "Rr": 150.0, "Lm": 3.0, "Lf": 3.0}
+
+
+def system() -> fmuid.System:
+    return fmuid.System(f"{FMUS}/InductionMachine/InductionMachine.fmu")
+
+
+def faults() -> dict[str, fmuid.Fault]:
+    """Return those of the shipped study: shorted turns beside the machine, and broken bars."""
+    turns = {f"fault.eta_{p}": fmuid.Parameter(0.0, nominal=0.01, min=0.0) for p in "abc"}
+    machine, short = (f"{FMUS}/{name}/{name}.fmu" for name in ("InductionMachine", "StatorShortCircuitLeakage"))
+    connectors = {
+        name: [(f"{part}.{name}", 1.0, 0.0) for part in ("machine", "fault")] for name in ("Rs", "uds", "uqs")
+    }
+    both = fmuid.System(components={"machine": machine, "fault": short}, connectors=connectors)
+    rotor = f"{FMUS}/InductionMachineRotorFault/InductionMachineRotorFault.fmu"
+    names = {name: f"machine.{name}" for name in ("Rr", "Lm", "Lf", "w")}
+    names |= {name: f"machine.{name} + fault.{name}" for name in ("ids", "iqs")}
+    bars = {
+        "eta0": fmuid.Parameter(0.0, min=0.0, nominal=0.1),
+        "theta0": fmuid.Parameter(0.0, min=0.0, max=np.pi, nominal=1.0),
+    }
+    return {
+        "stator": fmuid.Fault(
+            both, turns, variable_map=names, inputs={"fault.theta": "theta"}, nuisance={"fault.lag": LAGS}
+        ),
+        "rotor": fmuid.Fault(rotor, bars, angles=["theta0"]),
+    }
+
+
+def operated(always: Condition, changes: Sequence[dict[str, Any]], seed: int) -> list[fmuid.Experiment]:
+    """Return records with changes beside what always is."""
+    rng, drives, off = np.random.default_rng([51, seed]), list[Drive](), list[Condition]()
+    for k, change in enumerate(changes):
+        times, speed, angle, axes = excitation(COUNT, 10_000 * seed + k)
+        drives.append((times, speed, angle, rng.uniform(0.75, 1.0) * axes))
+        own, at, warm = rng.uniform(0.02, 0.5), rng.uniform(0.0, np.pi), rng.uniform(0.9, 1.15)
+        sums = {
+            name: tuple(np.add(getattr(always, name), value)) if isinstance(value, tuple) else value
+            for name, value in change.items()
+        }
+        values: dict[str, Any] = {"own": own, "bars_at": at, "warm": warm} | sums
+        off.append(replace(always, **values))
+    found = tables(drives, off, NOISE, seed)
+    return [fmuid.Experiment(frame, ["w"], observation=STUDY_AXES, name=f"{seed} {k}") for k, frame in enumerate(found)]
+
+
+@cache
+def baseline(always: Condition, count: int, number: int) -> fmuid.Baseline:
+    records = operated(always, [{}] * count, 100 + number)
+    parameters = {name: fmuid.Parameter(value, min=0.0) for name, value in MACHINE.items()}
+    result = fmuid.identify(fmuid.Problem(system(), records[0], parameters))
+    given = fmuid.Baseline(result, STD_FACTOR, records=records)
+    shown = compute_stored_baseline(given, faults(), system(), fmuid.diagnosis.Causes())
+    return fmuid.Baseline(result, STD_FACTOR, shown=shown)
+
+
+# change, and the label that must stand first
+CHANGES: dict[str, tuple[dict[str, Any], str]] = {
+    "healthy": ({}, ""),
+    "gain a +3 %": ({"gain": (0.03, 0.0)}, "gain(ia)"),
+    "gain b -20 %": ({"gain": (0.0, -0.2)}, "gain(ib)"),
+    "delay b 0.1 ms": ({"delay": (0.0, 1e-4)}, "delay(ib)"),
+    "supply b -2 %": ({"supply": (0.0, -0.02, 0.0)}, "input gain(ub)"),
+    "joint b +10 %": ({"joint": (0.0, 0.93, 0.0)}, "joint(b)"),
+    "turns a 2 %": ({"turns": 0.02, "phase": 0}, "stator.fault.eta_a"),
+    "turns b 3 %": ({"turns": 0.03, "phase": 1}, "stator.fault.eta_b"),
+    "turns c 10 %": ({"turns": 0.1, "phase": 2}, "stator.fault.eta_c"),
+    "one bar": ({"bars": 0.107}, "rotor.eta0"),
+}
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("name", CHANGES)
+@pytest.mark.parametrize("always", [SOUND, IMPERFECT], ids=["nothing off", "imperfect"])
+@pytest.mark.parametrize("count", [10, 20])
+def test_changes_of_a_machine_at_operating_points(count: int, always: Condition, name: str) -> None:
+    """Four sets of healthy records; limits as of the exact binomial test."""
+    (change, label), draws, first, alarms, alone, within = CHANGES[name], 200, 0, 0, 0, 0
+    records = operated(always, [change] * draws, 1 + list(CHANGES).index(name))
+    for k, record in enumerate(records):
+        found = fmuid.diagnose(record, baseline(always, count, k % SETS), faults(), system())
+        best = [each.label for one in found.evidence.explanations[:1] for each in one.changes]
+        alarms, alone = alarms + (found.kind != "healthy"), alone + (found.kind == "fault")
+        first += found.kind != "unexplained" and best[:1] == [label]
+        if "turns" in change and label in best:
+            low, high = found[label].interval()
+            within += low <= change["turns"] <= high
+    print(f"{name}, {count} records: alarms {alarms}, first {first}, a fault alone {alone}, sizes within {within}")
+    if not label:
+        assert alarms <= (6 if always is SOUND else 8)
+        return
+    assert first >= 190
+    assert alone <= 2 or label.startswith(("stator", "rotor"))
+    assert "turns" not in change or 184 <= within <= 196
+
+
+@pytest.mark.slow
+def test_turns_with_leakage_of_their_own_are_named_with_their_size() -> None:
+    """Half of the leakage is their own: StatorShortCircuit reads 1.1 to 2.5 % beside another cause."""
+    (record,) = operated(SOUND, [{"turns": 0.03, "phase": 1, "own": 0.5}], 31)
+    found = fmuid.diagnose(record, baseline(SOUND, 6, 0), faults(), system())
+    assert (found.kind, [each.label for each in found.evidence.explanations[0].changes]) == (
+        "fault",
+        ["stator.fault.eta_b"],
+    )
+    low, high = found["stator.fault.eta_b"].interval(0.99)
+    assert low < 0.03 < high
