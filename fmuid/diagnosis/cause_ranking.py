@@ -168,7 +168,7 @@ def estimate_sizes(news: ScoreStatistics, causes: Sequence[Cause], model_error: 
 
 
 def mixture(fits: Sequence[CauseFit], log_weights: Floats) -> CauseFit:
-    """Return mean and covariance of the sizes of variants with these log weights; the statistic of the first."""
+    """Return mean and covariance of the variants' sizes; the statistic is the first one's."""
     weights = special.softmax(log_weights)
     sizes = np.array([each.sizes for each in fits])
     mean = weights @ sizes

@@ -200,7 +200,7 @@ class Fault:
 
 
 def with_variants(faults: Mapping[str, Fault]) -> dict[str, Fault]:
-    """Return faults, and beside each those with the other values of its nuisance: name, `VARIANT`, number."""
+    """Return faults and their variants; their names have `VARIANT` and a number."""
     found = dict(faults)
     for name, fault in faults.items():
         grid = (dict(zip(fault.nuisance, each, strict=True)) for each in itertools.product(*fault.nuisance.values()))
