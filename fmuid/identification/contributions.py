@@ -11,13 +11,11 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import ClassVar
 
 import numpy as np
 from scipy import special
 
 from fmuid.array_types import Floats
-from fmuid.codec import Layout
 from fmuid.estimation import LeastSquares, Result
 from fmuid.identification.directed_tests import whitened
 
@@ -68,7 +66,8 @@ class Contributions:
     parts : tuple of Contribution
         Experiments in their order, then the prior; empty for one source alone.
     leverage : tuple of (K, n_outputs) arrays
-        Share of each sample in its own fit, from 0 to 1; NaN where it does not count.
+        Share of each sample in its own fit, from 0 to 1; NaN where it does not count. Without rows of experiments in
+        time, as the two below.
     std : tuple of (K, n_outputs) arrays
         σ of the simulated outputs by that of the estimates, in units of the data.
     noise : tuple of (K, n_outputs) arrays
@@ -79,8 +78,6 @@ class Contributions:
     leverage: tuple[Floats, ...]
     std: tuple[Floats, ...]
     noise: tuple[Floats, ...]
-
-    json_layout: ClassVar = Layout(omitted={"leverage", "std", "noise"})
 
     @property
     def contradictions(self) -> tuple[Contribution, ...]:
@@ -111,8 +108,14 @@ def find_contributions(problem: LeastSquares, result: Result) -> Contributions |
     spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", raw, covariance, raw), 0.0))
     pull = np.einsum("ij,jk,ik->i", jacobian, np.linalg.pinv(_information(blocks)), jacobian)
     levels = problem.unscaled(np.sqrt([result.fit.variance[name] for name in problem.output_names])[problem.groups])
-    tables = [tuple(problem.tables(each)) for each in (np.clip(pull, 0.0, 1.0), spread * levels, levels)]
+    tables = [_rowwise(problem, each) for each in (np.clip(pull, 0.0, 1.0), spread * levels, levels)]
     return Contributions(parts, *tables)
+
+
+def _rowwise(problem: LeastSquares, values: Floats) -> tuple[Floats, ...]:
+    """Return the table of each experiment, without rows of those in time."""
+    pairs = zip(problem.experiments, problem.tables(values), strict=True)
+    return tuple(table[: 0 if each.kind == "time" else None] for each, table in pairs)
 
 
 def _information(blocks: list[tuple[Floats, Floats]]) -> Floats:

@@ -112,12 +112,8 @@ def _fill_fits(fits: Sequence[dict[str, Any]], whole: pd.DataFrame) -> list[pd.D
     """Put the samples of a table into fits; return their rows."""
     parts = [whole[whole["experiment"] == each["experiment"]] for each in fits] if len(fits) > 1 else [whole]
     for each, part in zip(fits, parts, strict=True):
-        timed = "time" in part and bool(part["time"].notna().any())
+        timed = each.get("kind", "time") == "time"
         each["times"] = part["time"].to_numpy(np.float64) if timed else np.arange(1.0, len(part) + 1.0)
-        if not timed:  # drawn over its inputs
-            names = [str(name) for name in part if part[name].notna().all()]
-            own = [name for name in names if "." not in name and name != "experiment"]
-            each |= {"kind": "steady", "axis": {name: part[name].to_numpy(np.float64) for name in own}}
         each["measured"], each["simulated"] = (
             _values(part, kind, each["outputs"]) for kind in ("measured", "simulated")
         )

@@ -59,7 +59,7 @@ class OutputFit:
     """Of an experiment in time."""
 
     json_layout: ClassVar = Layout(
-        omitted={"times", "measured", "simulated", "counted", "kind", "axis", "readings"},
+        omitted={"times", "measured", "simulated", "counted"},
         derived=("counted_from", "fit", "rmse"),
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
@@ -11,7 +12,10 @@ import pytest
 
 import fmuid
 from fmuid.apps.cli.app import main
+from fmuid.codec import from_json
 from fmuid.errors import InputError
+from fmuid.identification import Contributions
+from fmuid.runs import read_fits
 from tests.support.paths import FMUS, ROOT
 from tests.support.resting import MACHINE, three_tests
 
@@ -78,6 +82,20 @@ def test_a_spectrum_gives_the_winding(folder: Path) -> None:
     assert found.result.values == pytest.approx([4.0, 0.1], rel=1e-6)
     fit = pd.read_csv(folder / "out/fit.csv")
     assert list(fit.columns) == ["frequency", *(f"{a}.Z.{b}" for b in ("magnitude", "phase") for a in SIDES)]
+
+
+@pytest.mark.parametrize("text", [STEADY, SPECTRUM])
+def test_a_results_folder_keeps_what_its_charts_need(folder: Path, text: str) -> None:
+    found = fmuid.run(study_of(folder, text), folder / "out")
+    (fit,), (again,) = found.fits, read_fits(folder / "out")
+    assert again.kind == fit.kind
+    np.testing.assert_equal(again.readings, fit.readings)
+    assert list(again.axis) == list(fit.axis)
+    contributions = json.loads((folder / "out/result.json").read_text())["assessment"]["contributions"]
+    kept, own = from_json(Contributions, contributions), found.assessment.contributions
+    assert own is not None
+    for part in ("leverage", "std", "noise"):
+        np.testing.assert_allclose(getattr(kept, part)[0], getattr(own, part)[0])
 
 
 @pytest.mark.parametrize(

@@ -129,7 +129,7 @@ def _load_curves(fit: OutputFit, half: Floats | None) -> ChartGrid:
 
 def bands(found: Contributions | None, fits: Sequence[OutputFit], factor: float) -> Mapping[str, Floats]:
     """Return half widths (K, n_outputs) of bands, by experiment."""
-    if found is None or not found.std:  # read from a file
+    if found is None:
         return {}
     pairs = zip(fits, found.std, found.noise, strict=True)
     return {fit.experiment: factor * np.hypot(std, noise) for fit, std, noise in pairs if fit.kind != "time"}
@@ -155,7 +155,7 @@ def contribution_sections(
         sections.append(Section("contributions", "What each experiment brings", text, table=table))
     pulls = [
         (found.leverage[i][k, j], fit, int(k), j)
-        for i, fit in enumerate(fits if found.leverage else ())
+        for i, fit in enumerate(fits)
         if fit.kind != "time"
         for k, j in zip(*np.nonzero(np.nan_to_num(found.leverage[i]) > 0.0), strict=True)
     ]
