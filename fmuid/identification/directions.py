@@ -14,12 +14,12 @@ import numpy as np
 from scipy.signal import lfilter
 
 from fmuid.array_types import Floats
-from fmuid.data import Experiment
+from fmuid.data import DECIBEL, Experiment, FrequencyExperiment
 from fmuid.estimation import LeastSquares, Result
 from fmuid.identification.line_directions import is_estimated, line_errors
 from fmuid.identification.linearized_record import Forcing, LinearizedRecord, both_ends
 from fmuid.identification.model_errors import CHANGING, Direction, ErrorKind
-from fmuid.simulation import AnySimulator, Simulator
+from fmuid.simulation import AnySimulator, Simulator, output_unit
 
 
 @dataclass(frozen=True)
@@ -66,11 +66,14 @@ def model_directions(
     found: dict[tuple[ErrorKind, tuple[str, ...]], dict[int, _Column]] = {}
     slopes = [problem.tables(problem.unscaled(column)) for column in jacobian.T]
     for index, simulator in enumerate(simulators):
-        if not isinstance(simulator, Simulator):
-            continue
         columns = problem.parameters.for_experiment(index)[1]
         own = np.array([slopes[i][index] for i in columns])
-        for each in _columns(simulator, theta[columns], simulated[index], own, len(problem.experiments)):
+        found_here = (
+            _columns(simulator, theta[columns], simulated[index], own, len(problem.experiments))
+            if isinstance(simulator, Simulator)
+            else _columns_of_rows(simulator, theta[columns], simulated[index], own)
+        )
+        for each in found_here:
             if is_estimated(each.kind, each.subject, simulator.parameters):
                 continue
             found.setdefault((each.kind, each.subject), {})[index] = each
@@ -111,6 +114,35 @@ def _columns(
     tables = simulator.seen(record.response([each[1] for each in forced]), theta)
     for (made, _), table in zip(forced, tables, strict=True):
         yield _Column(made.kind, made.subject, made.unit, made.usual, table, made.one_sided)
+
+
+def _columns_of_rows(simulator: AnySimulator, theta: Floats, simulated: Floats, slopes: Floats) -> Iterator[_Column]:
+    """Yield the directions over an experiment without a time: sensors, fixed parameters and saturation.
+
+    At rest, a parameter that depends on an output changes each row by the row's own slope.
+    """
+    experiment = simulator.experiment
+    units = {name: output_unit(simulator.system, experiment, name) or "" for name in experiment.output_names}
+    if isinstance(experiment, FrequencyExperiment):
+        yield from _of_responses(experiment, simulated)
+        yield from _of_fixed(simulator, theta)
+        return
+    yield from (each for each in _of_sensors(experiment, simulated, units) if each.kind is not ErrorKind.ZERO_DRIFT)
+    yield from _of_fixed(simulator, theta)
+    for names, square in _squares(experiment.output_names, simulated, units):
+        for name, value, slope in zip(simulator.parameters, theta, slopes, strict=True):
+            table = value * np.nan_to_num(slope) * square[:, None]
+            yield _Column(ErrorKind.SATURATION, (name, *names), "", SETTINGS.saturation, table)
+
+
+def _of_responses(experiment: FrequencyExperiment, simulated: Floats) -> Iterator[_Column]:
+    """Yield the gain of each response."""
+    for name, response in experiment.responses.items():
+        table = np.zeros(simulated.shape)
+        for part in response.columns:
+            j = experiment.output_names.index(f"{name}.{part}")
+            table[:, j] = {"phase": 0.0, "decibel": 1.0 / DECIBEL}.get(part, simulated[:, j])
+        yield _Column(ErrorKind.GAIN, (name,), "", SETTINGS.share, table)
 
 
 def _agrees(linearized: Floats, slopes: Floats) -> bool:
@@ -366,7 +398,7 @@ def _of_initial_states(
         yield made, Forcing(np.zeros_like(record.rates), initial=axis)
 
 
-def _of_fixed(simulator: Simulator, theta: Floats) -> Iterator[_Column]:
+def _of_fixed(simulator: AnySimulator, theta: Floats) -> Iterator[_Column]:
     """Yield other values of the fixed parameters, in shares of them: one simulation each."""
     fixed = fixed_parameters(simulator)
     names = list(fixed)[: SETTINGS.most_fixed]
@@ -385,7 +417,7 @@ def _of_fixed(simulator: Simulator, theta: Floats) -> Iterator[_Column]:
                 yield _Column(ErrorKind.FIXED, (name,), "", SETTINGS.fixed, table, value=value)
 
 
-def fixed_parameters(simulator: Simulator) -> dict[str, float]:
+def fixed_parameters(simulator: AnySimulator) -> dict[str, float]:
     """Return fixed real parameters that are not zero, the study's first."""
     system, values = simulator.system, {**simulator.system.values, **simulator.settings[0]}
     mine = set(simulator.target_names)

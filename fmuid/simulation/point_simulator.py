@@ -49,6 +49,7 @@ class PointSimulator(ABC):
         self.system, self.experiment, self.parameters = system, experiment, tuple(parameters)
         self._values = dict(values or {})
         self.held: dict[str, Value] = {**self._values, **experiment.values}
+        self.target_names, self.settings = self.parameters, (self.held, None)
         self._prepare()
 
     @property

@@ -1,0 +1,84 @@
+"""Directed tests of experiments without a time: errors are found, and nothing where there is none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import fmuid
+from fmuid.data import FrequencyExperiment, Response, RotatingFrame, SteadyExperiment
+from fmuid.identification import ErrorKind, find_model_errors
+from tests.support.paths import FMUS
+from tests.support.resting import MACHINE, induction_machine
+
+COIL = fmuid.datasets.coil()
+FREE = {"R": fmuid.Parameter(3.0, min=0.1), "L": fmuid.Parameter(0.2, min=0.01)}
+
+
+def found_in(problem: fmuid.Problem) -> list[set[tuple[ErrorKind, tuple[str, ...]]]]:
+    result = fmuid.identify(problem)
+    assert result.converged
+    errors = find_model_errors(problem, result)
+    assert errors is not None
+    return [{each.test.direction.key, *(other.key for other in each.alternatives)} for each in errors.errors]
+
+
+def load_points(seed: int, gain: float = 0.0, offset: float = 0.0, saturation: float = 0.0) -> fmuid.Problem:
+    """Return 24 points of the induction machine; saturation lowers Lf by the square of the current."""
+    random, rows = np.random.default_rng(seed), []
+    points = [(u, s) for u in (120.0, 180.0, 230.0) for s in (0.001, 0.01, 0.02, 0.04, 0.06, 0.1, 0.3, 1.0)]
+    most = induction_machine(230.0, 1.0)[0]
+    for u, s in points:
+        current = induction_machine(u, s)[0]
+        values = MACHINE | {"Lf": MACHINE["Lf"] * (1.0 - saturation * (current / most) ** 2)}
+        current, power, torque = induction_machine(u, s, values)
+        noise = 1.0 + 0.002 * random.normal(size=3)
+        rows.append((u, s, *(np.array([current, power.real * (1.0 + gain), torque]) * noise), 0.0))
+    table = pd.DataFrame(rows, columns=["U", "s", "I", "P", "T", "none"])
+    table["I"] += offset
+    supply = RotatingFrame(50.0, "U", slip="s", pole_pairs=2)
+    outputs = {"I_rms": "I", "P": "P", "torque": "T"}
+    experiment = SteadyExperiment(table, outputs=outputs, supply=supply)
+    noise_std = fmuid.Noise(reading_std=0.002)
+    free = {name: fmuid.Parameter(1.2 * value, min=1e-3) for name, value in MACHINE.items()}
+    return fmuid.Problem(FMUS / "InductionMachine/InductionMachine.fmu", experiment, free, noise=noise_std)
+
+
+def spectrum(seed: int, gain: float = 0.0) -> list[FrequencyExperiment | SteadyExperiment]:
+    """Return a spectrum with an error of gain, and a table without one."""
+    random, rows = np.random.default_rng(seed), np.logspace(-1, 2, 31)
+    noise = 0.002 * (random.normal(size=31) + 1j * random.normal(size=31))
+    values = (4.0 + 0.2j * np.pi * rows) * (1.0 + noise) * (1.0 + gain)
+    frame = pd.DataFrame({"f": rows, "re": values.real, "im": values.imag})
+    response = {"Z": Response("u / i", real="re", imaginary="im")}
+    voltages = np.linspace(2.0, 12.0, 9)
+    table = pd.DataFrame({"u": voltages, "i": voltages / 4.0 + 0.002 * random.normal(size=9)})
+    return [
+        FrequencyExperiment(frame, frequency="f", responses=response, name="spectrum"),
+        SteadyExperiment(table, ["u"], ["i"], name="table"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("error", "kind", "subject"),
+    [
+        ({"gain": 0.02}, ErrorKind.GAIN, ("P",)),
+        ({"offset": 0.03}, ErrorKind.OFFSET, ("I_rms",)),
+        ({"saturation": 0.1}, ErrorKind.SATURATION, ("Lf", "I_rms")),
+    ],
+)
+def test_an_error_of_load_points_is_named(error: dict[str, float], kind: ErrorKind, subject: tuple[str, ...]) -> None:
+    first, *_ = found_in(load_points(1, **error))
+    assert (kind, subject) in first
+
+
+def test_a_gain_of_a_response_is_named() -> None:
+    first, *_ = found_in(fmuid.Problem(COIL.fmu, spectrum(1, 0.02), FREE))
+    assert (ErrorKind.GAIN, ("Z",)) in first
+    assert not found_in(fmuid.Problem(COIL.fmu, spectrum(1), FREE))
+
+
+def test_rows_without_errors_raise_no_alarm() -> None:
+    """The level is 1 %: two of 40 draws are rare."""
+    assert sum(bool(found_in(load_points(100 + seed))) for seed in range(40)) <= 2
