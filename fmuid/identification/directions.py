@@ -1,57 +1,33 @@
 """Directions of model errors: what one unit of each error adds to the simulated outputs.
 
-An error of a sensor acts on the outputs. All others act on the linearized model (`LinearizedRecord`): an input, a
-parameter that is none, an initial state. A fixed parameter is moved by one simulation.
+Errors of sensors and fixed parameters need no linearized model (`output_directions`). All others act on it
+(`LinearizedRecord`): an input, a parameter that is none, an initial state.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.signal import lfilter
 
 from fmuid.array_types import Floats
-from fmuid.data import DECIBEL, Experiment, FrequencyExperiment
 from fmuid.estimation import LeastSquares, Result
 from fmuid.identification.line_directions import is_estimated, line_errors
 from fmuid.identification.linearized_record import Forcing, LinearizedRecord, both_ends
 from fmuid.identification.model_errors import CHANGING, Direction, ErrorKind
-from fmuid.simulation import AnySimulator, Simulator, output_unit
-
-
-@dataclass(frozen=True)
-class DirectionSettings:
-    """Usual sizes of errors, and numbers of their directions."""
-
-    delay: float = 0.5  # samples: where in an interval a channel is read
-    share: float = 0.01  # of an amplitude: gains, offsets, error voltages of ordinary sensors and inverters
-    saturation: float = 0.1  # of a parameter at the largest amplitude
-    drift: float = 0.05  # of a parameter over the record: 13 K of copper
-    fixed: float = 0.1  # of a fixed parameter
-    initial: float = 0.05  # of a state's range
-    sign_width: float = 0.02  # of the amplitude: where the sign of a current changes
-    most_fixed: int = 12  # fixed parameters; each costs a simulation
-    fixed_step: float = 1e-3  # relative
-    agreement: float = 0.1  # relative error of the linearized sensitivities that still allows these directions
-
-
-SETTINGS = DirectionSettings()
-
-
-@dataclass(frozen=True, eq=False)
-class _Column:
-    """A direction over one experiment: change of its outputs (K, n_y)."""
-
-    kind: ErrorKind
-    subject: tuple[str, ...]
-    unit: str
-    usual: float
-    table: Floats
-    one_sided: bool = False
-    value: float = math.nan  # of a fixed parameter
+from fmuid.identification.output_directions import (
+    SETTINGS,
+    DirectionColumn,
+    fixed_columns,
+    only_in,
+    rms_of,
+    row_columns,
+    sensor_columns,
+    squares_by_unit,
+)
+from fmuid.simulation import AnySimulator, Simulator
 
 
 def model_directions(
@@ -63,7 +39,7 @@ def model_directions(
     theta, simulated = result.values, result.fit.simulated
     levels = local.levels
     jacobian = -local.jacobian * levels[:, None]
-    found: dict[tuple[ErrorKind, tuple[str, ...]], dict[int, _Column]] = {}
+    found: dict[tuple[ErrorKind, tuple[str, ...]], dict[int, DirectionColumn]] = {}
     slopes = [problem.tables(problem.unscaled(column)) for column in jacobian.T]
     for index, simulator in enumerate(simulators):
         columns = problem.parameters.for_experiment(index)[1]
@@ -71,7 +47,7 @@ def model_directions(
         found_here = (
             _columns(simulator, theta[columns], simulated[index], own, len(problem.experiments))
             if isinstance(simulator, Simulator)
-            else _columns_of_rows(simulator, theta[columns], simulated[index], own)
+            else row_columns(simulator, theta[columns], simulated[index], own)
         )
         for each in found_here:
             if is_estimated(each.kind, each.subject, simulator.parameters):
@@ -96,13 +72,13 @@ def model_directions(
 
 def _columns(
     simulator: Simulator, theta: Floats, simulated: Floats, slopes: Floats, experiments: int
-) -> Iterator[_Column]:
+) -> Iterator[DirectionColumn]:
     """Yield the directions over one experiment."""
     experiment = simulator.experiment
     known, names = {**experiment.of_model.units, **experiment.units}, experiment.of_model.columns | experiment.columns
     units = {name: known.get(name) or simulator.system.unit(name) or "" for name in names}
-    yield from _of_sensors(experiment, simulated, units)
-    yield from _of_fixed(simulator, theta)
+    yield from sensor_columns(experiment, simulated, units)
+    yield from fixed_columns(simulator, theta)
     record = LinearizedRecord.of(simulator.model_at(theta), theta)
     if record is None or not _agrees(simulator.seen(record.sensitivities, theta)[simulator.own], slopes[simulator.own]):
         return
@@ -113,36 +89,7 @@ def _columns(
     forced += _of_initial_states(record, simulator, experiments)
     tables = simulator.seen(record.response([each[1] for each in forced]), theta)
     for (made, _), table in zip(forced, tables, strict=True):
-        yield _Column(made.kind, made.subject, made.unit, made.usual, table, made.one_sided)
-
-
-def _columns_of_rows(simulator: AnySimulator, theta: Floats, simulated: Floats, slopes: Floats) -> Iterator[_Column]:
-    """Yield the directions over an experiment without a time: sensors, fixed parameters and saturation.
-
-    At rest, a parameter that depends on an output changes each row by the row's own slope.
-    """
-    experiment = simulator.experiment
-    units = {name: output_unit(simulator.system, experiment, name) or "" for name in experiment.output_names}
-    if isinstance(experiment, FrequencyExperiment):
-        yield from _of_responses(experiment, simulated)
-        yield from _of_fixed(simulator, theta)
-        return
-    yield from (each for each in _of_sensors(experiment, simulated, units) if each.kind is not ErrorKind.ZERO_DRIFT)
-    yield from _of_fixed(simulator, theta)
-    for names, square in _squares(experiment.output_names, simulated, units):
-        for name, value, slope in zip(simulator.parameters, theta, slopes, strict=True):
-            table = value * np.nan_to_num(slope) * square[:, None]
-            yield _Column(ErrorKind.SATURATION, (name, *names), "", SETTINGS.saturation, table)
-
-
-def _of_responses(experiment: FrequencyExperiment, simulated: Floats) -> Iterator[_Column]:
-    """Yield the gain of each response."""
-    for name, response in experiment.responses.items():
-        table = np.zeros(simulated.shape)
-        for part in response.columns:
-            j = experiment.output_names.index(f"{name}.{part}")
-            table[:, j] = {"phase": 0.0, "decibel": 1.0 / DECIBEL}.get(part, simulated[:, j])
-        yield _Column(ErrorKind.GAIN, (name,), "", SETTINGS.share, table)
+        yield DirectionColumn(made.kind, made.subject, made.unit, made.usual, table, made.one_sided)
 
 
 def _agrees(linearized: Floats, slopes: Floats) -> bool:
@@ -157,32 +104,9 @@ def _agrees(linearized: Floats, slopes: Floats) -> bool:
     return True
 
 
-def _rms(values: Floats) -> float:
-    return max(float(np.sqrt(np.mean(values**2))), 1e-300)
-
-
-def _only(shape: tuple[int, ...], column: int, values: Floats | float) -> Floats:
-    found = np.zeros(shape)
-    found[:, column] = values
-    return found
-
-
-def _of_sensors(experiment: Experiment, simulated: Floats, units: Mapping[str, str]) -> Iterator[_Column]:
-    """Yield offset, its drift, gain, and gain by amplitude, of each output."""
-    elapsed = experiment.times - experiment.times[0]
-    for j, name in enumerate(experiment.output_names):
-        usual, shape, own = SETTINGS.share * _rms(simulated[:, j]), simulated.shape, simulated[:, j]
-        yield _Column(ErrorKind.OFFSET, (name,), units[name], usual, _only(shape, j, 1.0))
-        if elapsed[-1] > 0.0:
-            yield _Column(ErrorKind.ZERO_DRIFT, (name,), units[name], usual, _only(shape, j, elapsed / elapsed[-1]))
-        yield _Column(ErrorKind.GAIN, (name,), "", SETTINGS.share, _only(shape, j, own))
-        cubic = -own * (own / max(float(np.abs(own).max()), 1e-300)) ** 2
-        yield _Column(ErrorKind.NONLINEARITY, (name,), "", SETTINGS.share, _only(shape, j, cubic))
-
-
 def _of_slopes(
     record: LinearizedRecord, simulator: Simulator, theta: Floats, units: Mapping[str, str]
-) -> Iterator[_Column]:
+) -> Iterator[DirectionColumn]:
     """Yield errors that follow the slopes of outputs: delays, lags, slow clocks (secants of half a sample), hysteresis.
 
     In samples, of all outputs and of each.
@@ -208,12 +132,12 @@ def _of_slopes(
         for subject, columns in parts:
             table = np.zeros(outputs.shape)
             table[:, columns] = whole[:, columns]
-            yield _Column(kind, subject, "samples", SETTINGS.delay, table, one_sided)
+            yield DirectionColumn(kind, subject, "samples", SETTINGS.delay, table, one_sided)
     for j, (name, rises) in enumerate(zip(names, np.diff(outputs, axis=0, prepend=outputs[:1]).T, strict=True)):
-        usual = SETTINGS.share * _rms(outputs[:, j])
+        usual = SETTINGS.share * rms_of(outputs[:, j])
         if rises.any():
-            against = _only(outputs.shape, j, -signs(rises[:, None])[:, 0])
-            yield _Column(ErrorKind.HYSTERESIS, (name,), units[name], usual, against)
+            against = only_in(outputs.shape, j, -signs(rises[:, None])[:, 0])
+            yield DirectionColumn(ErrorKind.HYSTERESIS, (name,), units[name], usual, against)
 
 
 def _lagging(outputs: Floats, middle: Floats) -> Floats:
@@ -224,8 +148,10 @@ def _lagging(outputs: Floats, middle: Floats) -> Floats:
     return np.asarray(lfilter([1.0 - mean, mean - pole], [1.0, -pole], fine, axis=0)[::2] + outputs[0])
 
 
-def _made(kind: ErrorKind, subject: tuple[str, ...], unit: str, usual: float, one_sided: bool = False) -> _Column:
-    return _Column(kind, subject, unit, usual, np.zeros((0, 0)), one_sided)
+def _made(
+    kind: ErrorKind, subject: tuple[str, ...], unit: str, usual: float, one_sided: bool = False
+) -> DirectionColumn:
+    return DirectionColumn(kind, subject, unit, usual, np.zeros((0, 0)), one_sided)
 
 
 def _input_change(record: LinearizedRecord, column: int, change: Floats) -> Forcing:
@@ -242,14 +168,14 @@ def _sum_of(parts: Sequence[Forcing]) -> Forcing:
 
 def _of_inputs(
     record: LinearizedRecord, simulated: Floats, units: Mapping[str, str]
-) -> Iterator[tuple[_Column, Forcing]]:
+) -> Iterator[tuple[DirectionColumn, Forcing]]:
     """Yield errors of the inputs; interpolation also of all that are held, or are not."""
     experiment, alike = record.experiment, dict[bool, dict[str, Forcing]]()
     for j, name in enumerate(experiment.input_names):
         values, ends = experiment.input_values[:, j], record.input_ends[:, j]
         if not values.any():
             continue
-        usual, one = SETTINGS.share * _rms(values), np.ones(len(ends))
+        usual, one = SETTINGS.share * rms_of(values), np.ones(len(ends))
         yield _made(ErrorKind.INPUT_OFFSET, (name,), units[name], usual), _input_change(record, j, one)
         yield _made(ErrorKind.INPUT_GAIN, (name,), "", SETTINGS.share), _input_change(record, j, ends)
         rise, between = np.diff(values), np.zeros(len(ends))
@@ -269,7 +195,7 @@ def _of_inputs(
 
 def _of_lines(
     record: LinearizedRecord, simulator: Simulator, simulated: Floats, units: Mapping[str, str]
-) -> Iterator[tuple[_Column, Forcing]]:
+) -> Iterator[tuple[DirectionColumn, Forcing]]:
     """Yield errors of line voltages, and of the inputs that are none."""
     observed = simulator.observed
     assert observed is not None, "an observation was asked for"
@@ -289,7 +215,7 @@ def _of_lines(
         yield _made(each.kind, each.subject, each.unit, SETTINGS.share * each.size), _sum_of(parts)
 
 
-def _input_delays(record: LinearizedRecord, column: int, rise: Floats) -> Iterator[tuple[_Column, Forcing]]:
+def _input_delays(record: LinearizedRecord, column: int, rise: Floats) -> Iterator[tuple[DirectionColumn, Forcing]]:
     """Yield the delay of an input by a sample; of a held one it moves impulses."""
     subject = (record.experiment.input_names[column],)
     if not record.experiment.held[column]:
@@ -305,13 +231,13 @@ def _input_delays(record: LinearizedRecord, column: int, rise: Floats) -> Iterat
 
 def _dead_times(
     record: LinearizedRecord, simulated: Floats, units: Mapping[str, str]
-) -> Iterator[tuple[_Column, Forcing]]:
+) -> Iterator[tuple[DirectionColumn, Forcing]]:
     """Yield dead times of inputs, alone and along their common vector; a refit has corrected the outputs."""
     experiment, pairs, ends = record.experiment, driven_outputs(record), both_ends(simulated)
     for j, k in pairs.items():
         name, output = experiment.input_names[j], experiment.output_names[k]
         sign = -signs(ends[:, [k]])[:, 0]
-        usual = SETTINGS.share * _rms(experiment.input_values[:, j])
+        usual = SETTINGS.share * rms_of(experiment.input_values[:, j])
         yield _made(ErrorKind.DEAD_TIME, (name, output), units[name], usual), _input_change(record, j, sign)
     for unit in dict.fromkeys(units[experiment.input_names[j]] for j in pairs):
         own = {j: k for j, k in pairs.items() if units[experiment.input_names[j]] == unit}
@@ -320,7 +246,7 @@ def _dead_times(
         along = -signs(ends[:, list(own.values())])
         parts = [_input_change(record, j, along[:, i]) for i, j in enumerate(own)]
         names = tuple(experiment.input_names[j] for j in own) + tuple(experiment.output_names[k] for k in own.values())
-        usual = SETTINGS.share * _rms(experiment.input_values[:, list(own)])
+        usual = SETTINGS.share * rms_of(experiment.input_values[:, list(own)])
         yield _made(ErrorKind.DEAD_TIME, names, unit, usual), _sum_of(parts)
 
 
@@ -344,7 +270,7 @@ def driven_outputs(record: LinearizedRecord) -> dict[int, int]:
 
 def _of_parameters(
     record: LinearizedRecord, simulator: Simulator, units: Mapping[str, str]
-) -> Iterator[tuple[_Column, Forcing]]:
+) -> Iterator[tuple[DirectionColumn, Forcing]]:
     """Yield parameters that depend on amplitudes, or change in time."""
     times = both_ends(record.times)
     ramp = (times - times.mean()) / np.ptp(times)
@@ -356,7 +282,7 @@ def _of_parameters(
     experiment = record.experiment
     signals += [
         (ErrorKind.SATURATION, names, SETTINGS.saturation, square)
-        for names, square in _squares(experiment.output_names, record.ends, units)
+        for names, square in squares_by_unit(experiment.output_names, record.ends, units)
     ]
     hidden = [j for j, name in enumerate(record.states) if name not in experiment.output_names]
     states, kinds = (
@@ -365,7 +291,7 @@ def _of_parameters(
     )
     signals += [
         (ErrorKind.STATE_DEPENDENCE, names, SETTINGS.saturation, square)
-        for names, square in _squares(states, both_ends(record.trajectory[:, hidden]), kinds)
+        for names, square in squares_by_unit(states, both_ends(record.trajectory[:, hidden]), kinds)
     ]
     for i, parameter in enumerate(simulator.parameters):
         size = record.theta[i]
@@ -376,62 +302,12 @@ def _of_parameters(
                 yield _made(kind, (parameter, *names), "", usual), Forcing(rates, direct)
 
 
-def _squares(
-    names: Sequence[str], values: Floats, units: Mapping[str, str]
-) -> Iterator[tuple[tuple[str, ...], Floats]]:
-    """Yield signals of one unit together: names, and squares (P,) relative to the largest."""
-    for unit in dict.fromkeys(units[name] for name in names):
-        own = [j for j, name in enumerate(names) if units[name] == unit]
-        square = np.sum(values[:, own] ** 2, axis=1)
-        if square.any():
-            yield tuple(names[j] for j in own), square / square.max()
-
-
 def _of_initial_states(
     record: LinearizedRecord, simulator: Simulator, experiments: int
-) -> Iterator[tuple[_Column, Forcing]]:
+) -> Iterator[tuple[DirectionColumn, Forcing]]:
     """Yield the initial value of each state, of each experiment."""
     for name, axis, values in zip(record.states, np.eye(len(record.states)), record.trajectory.T, strict=True):
         usual = SETTINGS.initial * max(float(np.ptp(values)), 1e-300)
         subject = (name,) if experiments == 1 else (name, simulator.experiment.name)
         made = _made(ErrorKind.INITIAL_STATE, subject, simulator.system.unit(name) or "", usual)
         yield made, Forcing(np.zeros_like(record.rates), initial=axis)
-
-
-def _of_fixed(simulator: AnySimulator, theta: Floats) -> Iterator[_Column]:
-    """Yield other values of the fixed parameters, in shares of them: one simulation each."""
-    fixed = fixed_parameters(simulator)
-    names = list(fixed)[: SETTINGS.most_fixed]
-    if not names:
-        return
-    values = np.array([fixed[name] for name in names])
-    other = simulator.over(simulator.experiment, (*simulator.parameters, *names))
-    base = np.concatenate([theta, values])
-    moved = np.tile(base, (len(names), 1))
-    moved[np.arange(len(names)), len(theta) + np.arange(len(names))] *= 1.0 + SETTINGS.fixed_step
-    found = other.many(np.vstack([base, moved]))
-    for name, value, error, outputs in zip(names, values.tolist(), found.errors[1:], found.outputs[1:], strict=True):
-        if error is None and found.errors[0] is None:
-            table = (outputs - found.outputs[0]) / SETTINGS.fixed_step
-            if table.any():
-                yield _Column(ErrorKind.FIXED, (name,), "", SETTINGS.fixed, table, value=value)
-
-
-def fixed_parameters(simulator: AnySimulator) -> dict[str, float]:
-    """Return fixed real parameters that are not zero, the study's first."""
-    system, values = simulator.system, {**simulator.system.values, **simulator.settings[0]}
-    mine = set(simulator.target_names)
-    found = {
-        name: float(value) for name, value in values.items() if isinstance(value, float | int) and name not in mine
-    }
-    for name, variable in system.variables.items():
-        if variable.causality == "parameter" and isinstance(variable.start, float | int) and name not in mine:
-            found.setdefault(name, float(variable.start))
-    return {
-        name: value
-        for name, value in found.items()
-        if value
-        and system.variables[name].type == "Real"
-        and not system.variables[name].array
-        and system.variables[name].settable
-    }
