@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,6 +11,7 @@ from typer import Argument, Option
 
 from fmuid.apps.cli.options import (
     DONE,
+    FigureFormat,
     Figures,
     FmuFile,
     NoIsolation,
@@ -60,11 +61,7 @@ def predict(
     path = result_path(result)
     folder = path.parent / "prediction" if output is None else output
     with logged(folder, no_isolation) as isolated:
-        from fmuid import files
         from fmuid.errors import InputError
-        from fmuid.reports import published
-        from fmuid.reports.documents import document
-        from fmuid.reports.render import console
         from fmuid.reports.render.progress import Display
         from fmuid.runs import cross_predicted, predicted_by, write_prediction
 
@@ -78,13 +75,7 @@ def predict(
                 found = predicted_by(path, records, like=experiment, **shared)
             else:
                 found = cross_predicted(path, folds, progress=display, **shared)
-        files.make_folder(folder)
-        try:
-            found = write_prediction(folder, found)
-        finally:  # findings are shown also on a full disk
-            shown = document(found)
-            console.show(shown)
-        console.show_files(published(found, shown, folder, report=not no_report, figures=figures).files)
+        _write(write_prediction, found, folder, report=not no_report, figures=figures)
         return DONE
 
 
@@ -109,21 +100,29 @@ def compare(
 
     folder = result_path(results[0]).resolve().parents[1] / "comparison" if output is None else output
     with logged(folder, no_isolation) as isolated:
-        from fmuid import files
-        from fmuid.reports.documents import document
-        from fmuid.reports.publish import publish
-        from fmuid.reports.render import console
         from fmuid.runs import compared, write_comparison
 
         found = compared(results, data or (), free=refit or (), isolated=isolated)
-        files.make_folder(folder)
-        shown = document(found)
-        try:
-            found = write_comparison(folder, found)
-        finally:
-            console.show(shown)
-        console.show_files([*found.files, *publish(folder, shown, report=not no_report)])
+        _write(write_comparison, found, folder, report=not no_report)
         return DONE
+
+
+def _write(
+    write: Callable[[Path, Any], Any], found: Any, folder: Path, *, report: bool, figures: FigureFormat | None = None
+) -> None:
+    """Write, show and publish findings; they are shown also on a full disk."""
+    from fmuid import files
+    from fmuid.reports import published
+    from fmuid.reports.documents import document
+    from fmuid.reports.render import console
+
+    files.make_folder(folder)
+    shown = document(found)
+    try:
+        found = write(folder, found)
+    finally:
+        console.show(shown)
+    console.show_files(published(found, shown, folder, report=report, figures=figures).files)
 
 
 def report(
@@ -157,7 +156,7 @@ def apply(
 
 def _show_applied(applied: Sequence[AppliedValue]) -> None:
     from fmuid.formatting import rounded, unit_text
-    from fmuid.reports.document import Section, table_of
+    from fmuid.reports.document import Section, table_of_rows
     from fmuid.reports.render import console
 
     rows = []
@@ -168,8 +167,7 @@ def _show_applied(applied: Sequence[AppliedValue]) -> None:
         cells += [rounded(each.std, each.std) if known else "", unit_text(each.unit)]
         rows.append((each.variable, *cells))
     heads = ("variable", "old start", "new start", "σ", "unit")
-    columns = {head: [row[k] for row in rows] for k, head in enumerate(heads)}
-    console.show_section(Section("starts", "Start values", table=table_of(columns, ("unit",))))
+    console.show_section(Section("starts", "Start values", table=table_of_rows(heads, rows, ("unit",))))
 
 
 def _study(result: Path, study: Path | None, set_: list[str] | None, data: list[Path], *, isolated: bool) -> Study:

@@ -13,7 +13,7 @@ from fmuid.data import evenly, extremes
 from fmuid.formatting import fit_text, label, with_unit
 from fmuid.identification import ResidualStretch, squared_residual
 from fmuid.reports.chart import LIMITS, Axis, Chart, ChartGrid, Color, Data, Layer, short, stacked
-from fmuid.reports.document import Document, Message, Remark, Section, doubt, plain, table_of
+from fmuid.reports.document import Document, Message, Remark, Section, doubt, plain, table_of_rows
 from fmuid.reports.topics.row_charts import CAPTIONS, row_charts
 from fmuid.simulation import OutputFit
 
@@ -107,8 +107,7 @@ def scores_section(fits: Sequence[OutputFit]) -> Section:
             name = fit.experiment if len(fits) > 1 else ""
             rows.append((name, label(output, fit.units[k]), *said, str(counted)))
     heads = ("experiment", "output", "fit", "RMSE", "samples")
-    columns = {head: [row[k] for row in rows] for k, head in enumerate(heads)}
-    return Section("scores", "Measured against simulated", table=table_of(columns, ("output",)))
+    return Section("scores", "Measured against simulated", table=table_of_rows(heads, rows, ("output",)))
 
 
 def fit_sections(

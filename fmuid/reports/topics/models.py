@@ -8,7 +8,7 @@ from textwrap import shorten
 
 from fmuid.formatting import bounded, unit_text
 from fmuid.models import FmuSummary, Variable, VariableRow, lines
-from fmuid.reports.document import TERMINAL_ROWS, Document, Remark, Section, table_of
+from fmuid.reports.document import TERMINAL_ROWS, Document, Remark, Section, table_of, table_of_rows
 from fmuid.reports.topics.solver_check import capability_words, run_words
 from fmuid.studies import skeleton
 
@@ -30,8 +30,7 @@ def facts_document(found: FmuSummary, width: int | None = None) -> Document:
         Columns of the terminal; default: no limits.
     """
     described = found.fmu.description
-    rows = list(_declared(found))
-    head = table_of({"": [row[0] for row in rows], " ": [row[1] for row in rows]}, (" ",))
+    head = table_of_rows(("", " "), _declared(found), (" ",))
     sections = [Section("declarations", "", table=head)]
     for key, title, variables, columns in (
         ("fixed", "Parameters ({}), fixed", found.fixed, {}),
