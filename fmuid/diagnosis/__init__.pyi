@@ -15,7 +15,6 @@ from .cause_results import Explanation as Explanation
 from .causes import CauseKind as CauseKind
 from .causes import Causes as Causes
 from .causes import CauseScale as CauseScale
-from .design import MISS_PROBABILITY as MISS_PROBABILITY
 from .design import Design as Design
 from .design import planned_experiment as planned_experiment
 from .diagnose import DiagnosisSettings as DiagnosisSettings

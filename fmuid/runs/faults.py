@@ -12,8 +12,6 @@ import pandas as pd
 from fmuid import codec, files
 from fmuid.data import Experiment, Parameter, record_files
 from fmuid.diagnosis import (
-    FALSE_ALARM_LEVEL,
-    MISS_PROBABILITY,
     Baseline,
     Design,
     DiagnosisSettings,
@@ -50,16 +48,14 @@ def build_monitor(study: Study, rule: Rule) -> Monitor:
         raise InputError(f"{settings.place}: {error}") from None
 
 
-def design_of(
-    study: Study, fault: str, *, false_alarm: float = FALSE_ALARM_LEVEL, miss: float = MISS_PROBABILITY
-) -> Design:
+def design_of(study: Study, fault: str) -> Design:
     """Return the design of a test for one fault of a study."""
     settings = study.fault_search
     if fault not in settings.faults:
         raise InputError(f"{settings.place}: unknown fault {fault!r}. Choose {', '.join(settings.faults)}.")
     model = settings.faults[fault].fault(study.system, study.model)
-    how = DiagnosisSettings(false_alarm, causes=settings.causes, model_error=settings.fault_model_error)
-    return Design({fault: model}, _healthy(study), study.system, how, miss=miss)
+    how = DiagnosisSettings(causes=settings.causes, model_error=settings.fault_model_error)
+    return Design({fault: model}, _healthy(study), study.system, how)
 
 
 def shown_by(study: Study) -> Callable[[Result], StoredBaseline] | None:

@@ -11,7 +11,7 @@ import hashlib
 import os
 import re
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -183,11 +183,10 @@ def parts_in(folder: Path) -> list[Path]:
     return sorted(path for path in (folder / CASES).glob("part-*.parquet") if _PART_NAME.fullmatch(path.name))
 
 
-def read_part(path: Path, wanted: Callable[[str], bool] = lambda _: True) -> pa.Table:
-    """Return ``case`` and wanted columns of a part, checked by its digest."""
+def read_part(path: Path) -> pa.Table:
+    """Return a part, checked by its digest."""
     with _whole(path):
-        part = _opened(path)
-        return part.read([name for name in part.schema_arrow.names if name == "case" or wanted(name)])
+        return _opened(path).read()
 
 
 def _opened(path: Path) -> pq.ParquetFile:
