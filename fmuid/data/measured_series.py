@@ -20,6 +20,8 @@ class MeasuredSeries:
         Of the samples, "" where it is the model's.
     digest : str
         Of their times and values, as the table has them: equal for equal samples, whatever output they are taken for.
+    reading : float
+        RMS magnitude of the response they are part of; 0 of others.
     """
 
     experiment: str
@@ -27,6 +29,7 @@ class MeasuredSeries:
     unit: str
     samples: int
     digest: str
+    reading: float = 0.0
 
 
 def measured_series(experiment: Experiment) -> tuple[MeasuredSeries, ...]:
@@ -37,5 +40,9 @@ def measured_series(experiment: Experiment) -> tuple[MeasuredSeries, ...]:
         samples = np.empty((np.count_nonzero(counted), 2), "<f8")
         samples[:, 0], samples[:, 1] = experiment.times[counted], experiment.output_values[counted, j]
         digest = hashlib.sha256(samples.data).hexdigest()[:16]  # equal by chance once in 10^19
-        found.append(MeasuredSeries(experiment.name, output, experiment.units.get(output, ""), len(samples), digest))
+        size = 0.0
+        if experiment.kind == "frequency" and len(samples):
+            size = float(np.sqrt(np.mean(experiment.readings(output)[counted] ** 2)))
+        unit = experiment.units.get(output, "")
+        found.append(MeasuredSeries(experiment.name, output, unit, len(samples), digest, size))
     return tuple(found)

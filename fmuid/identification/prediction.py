@@ -276,7 +276,7 @@ class _Record:
         steps = self._steps(point, np.zeros_like(scatter) if lost else scatter)
         simulated, slopes = _slopes(finer_simulator(simulator, self.system, self.finer), point, steps)
         std = np.full(simulated.shape, np.nan) if lost else self._std(slopes, covariance, own)
-        variance = (self.noise_std * self._noise_shape) ** 2 + np.where(np.isnan(std), 0.0, std) ** 2
+        variance = self._noise_levels**2 + np.where(np.isnan(std), 0.0, std) ** 2
         fit = fit_of(self.system, experiment, simulated)
         half = quantile(self.result.fit.degrees_of_freedom, level) * np.sqrt(variance)
         scores = tuple(
@@ -286,14 +286,16 @@ class _Record:
         return Prediction(fit, std, self.noise_std, half, level, scores, tests, again, lost)
 
     @property
-    def _noise_shape(self) -> Floats:
-        """Noise level of each sample (K, n_outputs) over the mean one: of a response proportional to its magnitude."""
-        shape = np.ones(self.experiment.output_values.shape)
-        if self.experiment.kind == "frequency":
-            for j, name in enumerate(self.experiment.output_names):
-                readings = self.experiment.readings(name)
-                shape[:, j] = readings / np.sqrt(np.nanmean(readings**2))
-        return shape
+    def _noise_levels(self) -> Floats:
+        """Noise level of each sample (K, n_outputs): of a response the fraction of its magnitude that the fit had."""
+        levels = np.tile(self.noise_std, (len(self.experiment.times), 1))
+        for j, name in enumerate(self.experiment.output_names if self.experiment.kind == "frequency" else ()):
+            own = [each for each in self.result.setup.data if each.output == name]
+            squares = sum(each.samples * each.reading**2 for each in own)
+            if squares:
+                relative = self.result.fit.variance[name] * sum(each.samples for each in own) / squares
+                levels[:, j] = math.sqrt(relative) * self.experiment.readings(name)
+        return levels
 
     def _steps(self, point: Floats, scatter: Floats) -> Floats:
         """Return the steps of differences (p,)."""

@@ -191,3 +191,22 @@ def test_noise_is_a_fraction_of_the_magnitude_of_both_parts() -> None:
     known = fmuid.identify(fmuid.Problem(COIL, given, free, noise=Noise(reading_std={"Z": 0.02})))
     assert known.values == pytest.approx(result.values, rel=1e-6)
     assert set(known.fit.given_variance) == {"Z.real", "Z.imaginary"}
+
+
+def test_bands_follow_the_magnitude_of_a_new_response() -> None:
+    random = np.random.default_rng(7)
+
+    def spectrum(rows: np.ndarray) -> FrequencyExperiment:
+        exact = 4.0 + 0.2j * np.pi * rows
+        noisy = exact * (1.0 + 0.02 * (random.normal(size=rows.size) + 1j * random.normal(size=rows.size)))
+        table = pd.DataFrame({"f": rows, "re": noisy.real, "im": noisy.imag})
+        responses = {"Z": Response("u / i", real="re", imaginary="im")}
+        return FrequencyExperiment(table, frequency="f", responses=responses)
+
+    free = {"R": fmuid.Parameter(1.0, min=0.1), "L": fmuid.Parameter(1.0, min=0.01)}
+    problem = fmuid.Problem(COIL, spectrum(np.logspace(-1, 3, 201)), free)
+    new = spectrum(np.logspace(-1, 0, 201))  # where the magnitude is a hundredth of the largest
+    prediction = fmuid.predict(fmuid.identify(problem), new)
+    np.testing.assert_allclose(prediction.half_width, 1.96 * 0.02 * 4.0, rtol=0.15)
+    inside = np.abs(new.output_values - prediction.fit.simulated) < prediction.half_width
+    assert inside.mean() == pytest.approx(0.95, abs=0.03)
