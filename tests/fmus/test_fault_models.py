@@ -131,3 +131,13 @@ def test_a_broken_bar_between_rings_of_no_resistance(frame: pd.DataFrame) -> Non
     )  # fmt: skip
     rotor = run(path("InductionMachineRotorFault"), frame, INPUTS, STATES, MACHINE | {"eta0": 3 / 27, "theta0": 0.7})
     np.testing.assert_allclose(cage, rotor, rtol=0, atol=1e-4 * np.abs(rotor).max())
+
+
+def test_leaking_turns_settle_at_those_without_leakage(frame: pd.DataFrame) -> None:
+    """One phase, constant voltages: after many lags the current is that of StatorShortCircuitContact."""
+    held = frame.assign(uds=90.0, uqs=-50.0, theta=0.7)
+    given, stator = {"Rs": 8.5, "eta_b": 0.12, "contact": 0.05}, (["uds", "uqs", "theta"], ["ids", "iqs"])
+    expected = run(path("StatorShortCircuitContact"), held, *stator, given)
+    found = run(path("StatorShortCircuitLeakage"), held, *stator, given | {"lag": 1e-3})
+    np.testing.assert_allclose(found[-1], expected[-1], rtol=1e-9)
+    assert abs(found[2] - expected[2]).max() > 0.01 * abs(expected[2]).max()

@@ -30,6 +30,7 @@ AXES = np.array([(np.cos(a), np.sin(a)) for a in (0, 2 * np.pi / 3, 4 * np.pi / 
 def leaking_turns(x: Any, u: Any, p: Any) -> Any:
     """Each phase's added current follows that without leakage, with a lag."""
     ratios = np.array([p[f"eta_{phase}"] for phase in "abc"])
+    ratios = ratios / (1 - ratios * 2 / 3 + p["contact"])
     return (2 / 3 * ratios / p["Rs"] * (AXES @ rotation(u[2]) @ u[:2]) - x) / p["lag"]
 
 
