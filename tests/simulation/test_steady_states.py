@@ -110,6 +110,15 @@ def test_coupled_fmus_are_simulated_until_still() -> None:
     np.testing.assert_allclose(simulator([4.0, 2.0])[:, 0], [1.0, 4.0], rtol=1e-6)
 
 
+@pytest.mark.slow
+def test_coupled_fmus_that_never_rest_say_so(made: Callable[[str], Path]) -> None:
+    fmu = made(ADDING)
+    pair = System(components={"a": fmu, "b": fmu}, connections=[("a.x", "b.u", 0.0, 1.0)])
+    experiment = SteadyExperiment(pd.DataFrame({"a.u": [0.0, 1.0], "b.x": [1.0, 1.0]}), ["a.u"], ["b.x"])
+    with pytest.raises(FmuidError, match=r"row 1: outputs do not come to rest. Remove the row"):
+        simulator_of(pair, experiment, ["b.a"])([1.0])
+
+
 def test_a_machine_is_identified_from_its_load_points() -> None:
     table, random = three_tests(), np.random.default_rng(3)
     for name in ("I", "P"):
