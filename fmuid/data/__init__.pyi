@@ -2,6 +2,7 @@ from . import signals as signals
 from .clock import column_of as column_of
 from .clock import time_name as time_name
 from .data_file import BEGIN as BEGIN
+from .data_file import LEFT_OUT as LEFT_OUT
 from .data_file import TEXT as TEXT
 from .data_file import UNITS as UNITS
 from .data_file import numeric_column as numeric_column
@@ -10,6 +11,8 @@ from .data_file import record_files as record_files
 from .data_file import tables_in as tables_in
 from .experiment import Experiment as Experiment
 from .expressions import evaluate as evaluate
+from .far_values import COMMON_MARKS as COMMON_MARKS
+from .far_values import far_values as far_values
 from .filters import dropouts as dropouts
 from .filters import evenly as evenly
 from .filters import extremes as extremes
@@ -52,3 +55,4 @@ from .responses import DEGREE as DEGREE
 from .responses import FrequencyExperiment as FrequencyExperiment
 from .responses import Response as Response
 from .sensor_map import SensorMap as SensorMap
+from .several_clocks import CLOCKS as CLOCKS

@@ -6,7 +6,7 @@ import itertools
 import re
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -38,9 +38,17 @@ _DOTTED = ("%d{0}%m{0}%Y", "%d{0}%m{0}%y")
 _CLOCKS = (" %H:%M:%S.%f", " %H:%M:%S", " %H:%M", " %I:%M:%S.%f %p", " %I:%M:%S %p", " %I:%M %p")
 _CENTURY = (946_684_800.0, 4_102_444_800.0)
 """Seconds from 1970 to the years 2000 and 2100."""
+_COLON = re.compile(r"(\d:\d{2}:\d{2}):(?=\d{1,6}$)")
+"""A colon before parts of a second."""
 _CLOCK = re.compile(r"(\d+ days )?\d{1,3}:\d{2}(:\d{2}([.,]\d+)?)?")
 _OFFSET = r"(?:Z|[+-]\d{2}:?\d{2})$"
 _HOUR, _DAY = 3600.0, 86_400.0
+_MILLISECONDS = ("ms", "msec", "millisecond", "milliseconds")
+"""Columns beside times of whole seconds."""
+_DAY_NUMBERS = (36_526.0, 73_051.0)
+"""Days of spreadsheets (from 1899-12-30) of the years 2000 to 2100."""
+_DATES = ("date", "datum", "datetime", "date/time", "date time", "datum/zeit", "datum zeit", "timestamp", "zeitstempel")
+_WITH_UNIT = re.compile(r"\s*(?P<number>[+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*(?P<unit>[a-zµ]+)\s*")
 
 
 def time_name(time: str | int) -> str:
@@ -89,7 +97,16 @@ def with_time(
         return TimedTable(raw.frame.assign(**{name: np.arange(len(raw.frame)) / sample_rate}))
     if unit is not None and unit not in SECONDS:
         raise InputError(f"{source}: time_unit {unit!r} is unknown. Use {', '.join(TIME_UNITS)}.")
-    main = _clock(raw, _column(raw, time, source), unit, source)
+    column = _column(raw, time, source)
+    if column is None and raw.step is not None and sample_rate is None:
+        said = f"no time column; {raw.step:.6g} s between rows by the lines above the header"
+        return TimedTable(raw.frame.assign(**{name: raw.step * np.arange(len(raw.frame))}), notes={name: said})
+    if column is None:
+        raise InputError(f"{source}: {missing_column('time', str(time), raw.frame.columns, REMEDY)}")
+    main = _clock(raw, column, unit, source)
+    if not pd.api.types.is_numeric_dtype(np.asarray(main.values).dtype):  # refused by the reader, with its row
+        return TimedTable(raw.frame.rename(columns={column: name}))
+    main = _with_milliseconds(raw, main)
     others, notes = _other_clocks(raw, main, unit, clocks, source)
     frame = raw.frame
     if others:
@@ -103,10 +120,7 @@ def with_time(
         final = {each: f"{clock} 1" if clock == name else clock for each, clock in found.items()}
         return TimedTable(joined(frame, name, seconds, found, source), main.begin, final, notes)
     frame = frame.assign(**{main.name: main.values}).rename(columns={main.name: name})
-    try:
-        times = np.asarray(frame[name], dtype=np.float64)
-    except (ValueError, TypeError):  # refused by the reader, with its row
-        return TimedTable(frame, main.begin, notes=notes)
+    times = np.asarray(frame[name], dtype=np.float64)
     regular = regular_times(times, frame.drop(columns=name), sample_rate, name, source)
     if regular is not None:
         said = f"repeated; rebuilt with {regular[1] - regular[0]:.6g} s between rows"
@@ -127,6 +141,8 @@ def _clock(raw: RawTable, column: str, unit: str | None, source: str, usual: str
         raise InputError(f'{source}: {said}. Set time_unit, such as "s", or another time column.')
     if begin is None and (since_1970 := _since_1970(values, said_unit)):
         values, begin = _seconds(pd.to_datetime(values, unit=since_1970))
+    if begin is None and said_unit is None and _are_day_numbers(values, column):
+        values, begin = _seconds(pd.to_datetime(values, unit="D", origin="1899-12-30").dt.round("us"))
     if said_unit is None and column in raw.days:
         raise InputError(f'{source}: column {column or "(no name)"!r} may be in days. Set time_unit = "d" or "s".')
     factor = 1.0 if begin is not None else SECONDS[said_unit or usual or "s"]
@@ -205,7 +221,18 @@ def _scaled(values: Any, factor: float) -> Any:
     return values / round(1 / factor) if factor < 1 else values * factor
 
 
-def _column(raw: RawTable, time: str | int, source: str) -> str:
+def _with_milliseconds(raw: RawTable, clock: _Clock) -> _Clock:
+    """Return a clock of whole seconds with the milliseconds that stand in a column of their own."""
+    found = [str(name) for name in raw.frame.columns if str(name).strip().lower() in _MILLISECONDS]
+    if len(found) != 1 or found[0] == clock.name or not pd.api.types.is_numeric_dtype(raw.frame[found[0]].dtype):
+        return clock
+    values, parts = clock.seconds(), raw.frame[found[0]].to_numpy(dtype=np.float64)
+    whole = not (values % 1.0).any() and (np.diff(values) == 0.0).any()
+    return replace(clock, values=values + parts / 1e3) if whole and parts.min() >= 0.0 and parts.max() < 1e3 else clock
+
+
+def _column(raw: RawTable, time: str | int, source: str) -> str | None:
+    """Return the time column; None if there is none."""
     names = [str(name) for name in raw.frame.columns]
     if isinstance(time, int):
         if not 1 <= time <= len(names):
@@ -233,7 +260,9 @@ def _column(raw: RawTable, time: str | int, source: str) -> str:
         likely = [name for name in timely if is_time_name(name) and _likely_clock(raw, name, None, None, source)]
         if likely:
             return likely[0]
-    raise InputError(f"{source}: {missing_column('time', time, names, REMEDY)}")
+        if time_unit(raw.units.get(names[0], "")) is not None and _are_times(raw.frame[names[0]], source):
+            return names[0]
+    return None
 
 
 def column_of(columns: Iterable[object], wanted: str) -> str | None:
@@ -242,8 +271,16 @@ def column_of(columns: Iterable[object], wanted: str) -> str | None:
     return next((each for each in (wanted, split_header(wanted)[0]) if each in names), None)
 
 
-def missing_column(role: str, column: str, known: Iterable[object], remedy: str = "Name the right column.") -> str:
-    """Return the sentences on a missing column, with near names."""
+def missing_column(
+    role: str,
+    column: str,
+    known: Iterable[object],
+    remedy: str = "Name the right column.",
+    left_out: Mapping[str, str] | None = None,
+) -> str:
+    """Return the sentences on a missing column, with the reason, or near names."""
+    if left_out and column in left_out:
+        return f"{role} column {column!r} was not read: {left_out[column]}. Save it with its times, or resample it."
     names = [str(name) or "(no name)" for name in known]
     listed = ", ".join(names[:_LISTED_NAMES]) + (", …" if len(names) > _LISTED_NAMES else "")
     found = nearest(column, names) or f" (columns: {listed or 'nothing numeric'})"
@@ -273,6 +310,13 @@ def _since_1970(values: Any, unit: str | None) -> Literal["s", "ms", "us", "ns"]
     return next((each for each in possible if _CENTURY[0] <= first * SECONDS[each] < _CENTURY[1]), None)
 
 
+def _are_day_numbers(values: Any, column: str) -> bool:
+    """Return whether a column of dates holds a spreadsheet's numbers of days."""
+    if column.strip().lower() not in _DATES or not pd.api.types.is_numeric_dtype(values.dtype):
+        return False
+    return bool(values.between(*_DAY_NUMBERS).all() and (values % 1.0 > 0.0).any())
+
+
 def _as_numbers(series: pd.Series[Any], column: str, source: str) -> tuple[Any, pd.Timestamp | None]:
     """Return dates and times of day in s; else the series unchanged."""
     if pd.api.types.is_timedelta64_dtype(series.dtype):
@@ -289,7 +333,10 @@ def _as_numbers(series: pd.Series[Any], column: str, source: str) -> tuple[Any, 
         if seconds.max() < _DAY:
             seconds += _DAY * (seconds.diff() < -_DAY / 2).cumsum()  # past midnight
         return (seconds - seconds.iloc[0]).reindex(series.index), None
-    dates = _dates(texts, column, source)
+    cells = texts.map(_WITH_UNIT.fullmatch)
+    if cells.notna().all() and all(cell["unit"] in SECONDS for cell in cells):  # 0.01 sec
+        return cells.map(lambda cell: float(cell["number"]) * SECONDS[cell["unit"]]).reindex(series.index), None
+    dates = _dates(texts.str.replace(_COLON, r"\1.", regex=True), column, source)
     return (series, None) if dates is None else _seconds(dates.reindex(series.index))
 
 

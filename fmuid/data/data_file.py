@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -21,9 +23,10 @@ from fmuid.data.several_clocks import CLOCKS
 from fmuid.errors import InputError
 from fmuid.files import is_file, is_folder
 
-TEXT = (".csv", ".txt", ".tsv", ".asc", ".dat")
+TEXT = (".csv", ".txt", ".tsv", ".asc", ".dat", ".lvm", ".tab", ".prn", ".ascii", ".log", ".out")
 """Suffixes of delimited text; packed it has .gz or .zip after them."""
-TABLE_SUFFIXES = (*TEXT, ".json", *BINARY)
+JSON = (".json", ".jsonl", ".ndjson")
+TABLE_SUFFIXES = (*TEXT, *JSON, *BINARY)
 """Suffixes of the formats that are read."""
 UNITS, BEGIN, SOURCE = "units", "begin", "source"
 """Attributes of a frame that was read: units as the file writes them, the date of second 0, its name in messages."""
@@ -112,7 +115,7 @@ def read_data(
         raise InputError(f"{source}: permission denied. Change the permissions of the file.") from None
     if text:
         raw = read_text(path, source)
-    elif suffix == ".json":
+    elif suffix in JSON:
         raw = _read_json(path, source)
     else:
         raw = _raw_table(read_binary(path, source, sheet), source)
@@ -155,7 +158,8 @@ def _without_marks(column: pd.Series[Any], marks: Sequence[str | float]) -> pd.S
 
 def _read_json(path: Path, source: str) -> RawTable:
     try:
-        frame = pd.read_json(path)
+        text = path.read_text("utf-8-sig")
+        frame = pd.read_json(io.StringIO(text), **_layout_of_json(text))
     except Exception:  # pandas has no error of its own for it
         raise InputError(f"{source}: not a readable JSON table. Write it again.") from None
     dated = isinstance(frame.index, pd.DatetimeIndex)
@@ -163,6 +167,24 @@ def _read_json(path: Path, source: str) -> RawTable:
         frame = frame.rename_axis("time").reset_index()
     names, units = named([str(column) for column in frame.columns])
     return RawTable(frame.set_axis(names, axis="columns"), units, "time" if dated else None)
+
+
+def _layout_of_json(text: str) -> dict[str, Any]:
+    """Return what pandas need know of a JSON text."""
+    try:
+        content = json.loads(text)
+    except json.JSONDecodeError:
+        if not text.lstrip().startswith("{"):
+            raise
+        return {"lines": True}  # a row a line
+    if not isinstance(content, dict):
+        return {}
+    if {"columns", "data"} <= set(content):
+        return {"orient": "split"}
+    if {"schema", "data"} <= set(content):
+        return {"orient": "table"}
+    rows = all(isinstance(each, dict) for each in content.values()) and all(map(str.isdigit, content))
+    return {"orient": "index"} if rows and content else {}
 
 
 def _raw_table(found: FileColumns, source: str) -> RawTable:
@@ -175,7 +197,9 @@ def _raw_table(found: FileColumns, source: str) -> RawTable:
         columns[name] = _in_zone(native, found.zones[k], source) if k in found.zones else native
     units |= {names[k]: unit for k, unit in found.units.items()}
     time = None if found.time is None else names[found.time]
-    return RawTable(pd.DataFrame(columns), units, time, frozenset(names[k] for k in found.days))
+    clocks = {names[k]: names[clock] for k, clock in found.clocks.items()}
+    days = frozenset(names[k] for k in found.days)
+    return RawTable(pd.DataFrame(columns), units, time, days, clocks, dict(found.left_out))
 
 
 def _in_zone(dates: np.ndarray[Any, Any], zone: str, source: str) -> Any:

@@ -15,7 +15,7 @@ import pandas as pd
 
 from fmuid.array_types import Flags, Floats
 from fmuid.data.clock import column_of, missing_column
-from fmuid.data.data_file import DECIDED, SOURCE, UNITS, numeric_column
+from fmuid.data.data_file import DECIDED, LEFT_OUT, SOURCE, UNITS, numeric_column
 from fmuid.data.far_values import check_values
 from fmuid.data.filters import missing_rows, usual_step
 from fmuid.data.interpolation import HELD, as_held, interpolation_words, slopes
@@ -184,7 +184,8 @@ class Experiment(HtmlTableMixin):
         for role, columns in {"time": [self.time], "input": inputs.values(), "output": there.values()}.items():
             for column in columns:
                 if column not in frame.columns:
-                    raise InputError(f"{source}: {missing_column(role, column, frame.columns)}")
+                    said = missing_column(role, column, frame.columns, left_out=attributes.get(LEFT_OUT))
+                    raise InputError(f"{source}: {said}")
         words = interpolation_words(source, self.interpolation, inputs)
         for column in {*inputs.values(), *there.values()} if SOURCE in attributes and DECIDED not in attributes else ():
             check_values(numeric_column(frame, column, source), column, source)

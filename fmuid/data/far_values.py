@@ -17,14 +17,15 @@ class FarValueSettings:
     beyond: float = 1e4  # times the size of the rest: no measured value
     mark_beyond: float = 10.0  # times the same, for marks that loggers write
     share: float = 0.2  # of the samples that may be marks
-    marks: tuple[float, ...] = (
-        *(-99.0, -999.0, -9999.0, -99999.0, -999999.0, 999.0, 9999.0, 99999.0, 999999.0, -99.99, -999.9, -999.99),
-        *(-999.25, -9999.9, 9999.9, 8888.0, 7777.0, -7999.0, 7999.0, -32768.0, 32767.0, 65535.0, -2147483648.0),
-        2147483647.0,
-    )  # fmt: skip
 
 
 SETTINGS = FarValueSettings()
+COMMON_MARKS = (
+    *(-99.0, -999.0, -9999.0, -99999.0, -999999.0, 999.0, 9999.0, 99999.0, 999999.0, -99.99, -999.9, -999.99),
+    *(-999.25, -9999.9, 9999.9, 8888.0, 7777.0, -7999.0, 7999.0, -32768.0, 32767.0, 65535.0, -2147483648.0),
+    2147483647.0,
+)
+"""Numbers that loggers write for no sample."""
 
 
 @np.errstate(over="ignore")
@@ -43,7 +44,7 @@ def far_values(values: Floats) -> dict[float, int]:
         found, counts = np.unique(there[distances > rest[jumps[0]]], return_counts=True)
         return dict(zip(found.tolist(), counts.tolist(), strict=True))
     marks: dict[float, int] = {}
-    for mark in SETTINGS.marks:
+    for mark in COMMON_MARKS:
         same = there == mark
         if not same.any():
             continue

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy.typing as npt
 
 from fmuid.errors import InputError
-from fmuid.units import SECONDS, parse_unit
+from fmuid.units import SECONDS, parse_unit, time_unit
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -34,10 +34,11 @@ OVERLOADS = (9.9e37, 9.91e37)
 """Numbers for infinity and no number in SCPI (1999.0, section 7.2.1)."""
 
 TIME_NAMES = (
-    "time", "t", "zeit", "timestamp", "timestamps", "time stamp", "zeitstempel", "datetime", "date", "date/time",
-    "date time", "datum", "datum/zeit", "datum zeit", "temps", "tiempo", "tempo", "tijd", "tid", "czas", "čas", "zaman",
-    "время", "時間", "时间", "時刻", "elapsed time", "relative time", "rel. time", "test time", "seconds", "second",
-    "sekunden", "x_value", "x-axis", "zeitachse", "elapsed", "utc", "ts",
+    "time", "t", "zeit", "timestamp", "timestamps", "time stamp", "zeitstempel", "datetime", "uhrzeit", "heure",
+    "hora", "date", "date/time", "date time", "datum", "datum/zeit", "datum zeit", "temps", "tiempo", "tempo", "tijd",
+    "tid", "czas", "čas", "zaman", "время", "時間", "时间", "時刻", "elapsed time", "relative time", "rel. time",
+    "test time", "seconds", "second", "sekunden", "x_value", "x-axis", "zeitachse", "elapsed", "utc", "ts", "tout",
+    "date&time", "date & time",
 )  # fmt: skip
 """What tables call their time, in small letters, in the order of preference."""
 
@@ -53,6 +54,26 @@ _ALTERED = re.compile(
 )
 """Units with an addition that changes their meaning."""
 _UNIT_LENGTH = 12
+_STEP_KEYS = (
+    "hresolution", "delta x", "deltax", "dx", "dt", "sample interval", "sampling interval", "sample period",
+    "x increment", "xincrement", "increment", "time step", "abtastintervall", "interval",
+)  # fmt: skip
+_RATE_KEYS = (
+    "samplerate",
+    "sample rate",
+    "sampling rate",
+    "sampling frequency",
+    "sample frequency",
+    "rate",
+    "abtastrate",
+)
+_NAME_KEYS = ("tracename", "trace name", "channel name", "signal name", "label", "source", "signal", "channel", "name")
+_UNIT_KEYS = ("vunit", "vertical units", "y_unit_label", "unit", "units", "einheit", "einheiten")
+"""First cells of the lines above a header that say time between samples, names and units."""
+_HERTZ = {"": 1.0, "Hz": 1.0, "hz": 1.0, "kHz": 1e3, "MHz": 1e6, "Sa/s": 1.0, "S/s": 1.0, "kS/s": 1e3, "MS/s": 1e6}
+_WITH_TIME_UNIT = re.compile(r"(?P<number>[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?)\s*(?P<unit>[^\W\d]*(/s)?)", re.ASCII)
+_NO_NAME = re.compile(r"[\d:./\s-]*")
+"""Dates and times in the place of names."""
 _INDEX = re.compile(r"[\d\s,:]*")
 _SPACES = " \u00a0\u202f'’"
 _GROUPED = re.compile(rf"\s*[+-]?\d{{1,3}}(?:([.,{_SPACES}])\d{{3}})(?:\1\d{{3}})*(?:([.,])\d+)?\s*", re.ASCII)
@@ -64,6 +85,7 @@ class RawTable:
 
     `units` are as written, `time` is the format's own time column, `days` are columns that may be pandas durations.
     `clocks` are the time columns of columns, where the format says them; `left_out` names what was not read, and why.
+    `step` is the time between samples, s, where the lines above the header say it.
     """
 
     frame: pd.DataFrame
@@ -72,15 +94,17 @@ class RawTable:
     days: frozenset[str] = frozenset()
     clocks: dict[str, str] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
+    step: float | None = None
 
 
 @dataclass(frozen=True)
 class TableHeader:
-    """Header cells, unit cells and the first row of samples."""
+    """Header cells, unit cells and the first row of samples; time between samples, s, if said above."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
     first: int
+    step: float | None = None
 
 
 def split_header(header: str) -> tuple[str, str | None]:
@@ -90,6 +114,8 @@ def split_header(header: str) -> tuple[str, str | None]:
     """
     header = " ".join(header.split())
     found = _WITH_UNIT.fullmatch(header)
+    if found is None and header.startswith("in ") and is_unit(header[3:]):
+        return header, header[3:]
     if found is None:
         words = _AFTER_WORD.fullmatch(header)
         known = words is not None and (is_unit(words["unit"]) or words["unit"].startswith(("1/", "min")))
@@ -176,10 +202,37 @@ def find_head(rows: Sequence[Sequence[Cell]], decimal: str = ".") -> TableHeader
     index, *others = _texts(rows[header])
     if index.lower() in TIME_NAMES and not any(others) and all(top):  # pandas names an index below several header rows
         return TableHeader((index, *top[1:]), (), first)
+    step = _step_said(rows[:first])
     for k in range(above + 2, first):
         if _are_units(rows[k]):
-            return TableHeader(_texts(rows[k - 1]), _texts(rows[k]), first)
-    return TableHeader(_texts(rows[header]), (), first)
+            return TableHeader(_texts(rows[k - 1]), _texts(rows[k]), first, step)
+    names = _texts(rows[header])
+    alike = [_texts(row) for row in rows[:header] if len(row) == len(names)]
+    if alike and _are_units(rows[header]) and all(names[1:]):  # names are numbers of channels
+        return TableHeader(alike[-1], names, first, step)
+    said = {each[0].lower(): each for each in reversed(alike)}
+    if all(_NO_NAME.fullmatch(name) for name in names[1:]):
+        names = next((said[key] for key in _NAME_KEYS if key in said), names)
+    below = next((said[key] for key in _UNIT_KEYS if key in said), ())
+    known = all(unit == "" or is_unit(unit) for unit in below[1:])
+    return TableHeader(names, ("", *below[1:]) if below and known else (), first, step)
+
+
+def _step_said(rows: Sequence[Sequence[Cell]]) -> float | None:
+    """Return the time between samples that lines above the header say, s."""
+    for row in rows:
+        first, *others = re.split(r"\s*[:=]\s*", str(row[0]), maxsplit=1) if row else [""]
+        key = first.strip().strip('"').lower().replace("_", " ")
+        text = str([*others, *row[1:], ""][0]).strip()
+        found = _WITH_TIME_UNIT.fullmatch(text)
+        if found is None or key not in (*_STEP_KEYS, *_RATE_KEYS):
+            continue
+        value, unit = float(found["number"]), found["unit"]
+        if key in _RATE_KEYS and unit in _HERTZ and value > 0.0:
+            return 1.0 / (value * _HERTZ[unit])
+        if key in _STEP_KEYS and (unit == "" or unit in SECONDS) and value > 0.0:
+            return value * SECONDS.get(unit, 1.0)
+    return None
 
 
 def is_number(cell: Cell, decimal: str = ".") -> bool:
@@ -226,7 +279,7 @@ def _are_units(row: Sequence[Cell]) -> bool:
     """Return whether cells are units; of three and more with a time, some may be unknown."""
     texts = [text.strip("[]() ") for text in _texts(row)]
     there = [text for text in texts if text not in ("", "-")]
-    known = [text for text in there if is_unit(text)]
+    known = [text for text in there if is_unit(text) or time_unit(text) is not None]
     timed = len(there) > 2 and any(text in SECONDS for text in there) and 2 * len(known) > len(there)
     return bool(there) and (len(known) == len(there) or (timed and all(len(text) <= _UNIT_LENGTH for text in there)))
 

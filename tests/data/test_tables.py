@@ -95,7 +95,8 @@ def test_mat_vectors_of_the_common_length(tmp_path: Path, version: Any) -> None:
     content |= {"count": np.arange(5, dtype=np.int16)} if version == "5" else {}
     savemat(tmp_path / "run.mat", content, format=version)
     table = read_data(tmp_path / "run.mat", time="t")
-    assert set(table.columns) == {"t", "w", "count"} & set(content)
+    assert set(table.columns) == ({"t", "w", "count"} & set(content)) | {f"A{k}" for k in range(1, 6)}
+    assert list(table.attrs["left out"]) == ["long"]
     np.testing.assert_array_equal(table["t"], TIMES)
     np.testing.assert_array_equal(table["w"], SPEED)
 

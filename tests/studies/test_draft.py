@@ -15,7 +15,7 @@ from fmuid.errors import InputError
 from fmuid.models import read_description
 from fmuid.models.component import DEFAULT_INTEGRATOR, DEFAULT_TOLERANCE, INTEGRATORS
 from fmuid.reports.topics.init import remarks
-from fmuid.studies import check_output, skeleton
+from fmuid.studies import Draft, check_output, skeleton, write_draft
 from fmuid.studies.init.draft import draft, match_data_files
 from fmuid.studies.init.lines import LINE_LENGTH
 from fmuid.studies.init.parameter_survey import Candidate, ParameterProposal, bounds
@@ -149,6 +149,17 @@ def test_a_study_of_every_kind_is_read(path: Path, tmp_path: Path) -> None:
 
 
 def test_a_new_file_is_never_written_over_another(tmp_path: Path) -> None:
-    for path, said in ((tmp_path, "file exists"), (tmp_path / "none" / "study.toml", "cannot be written")):
+    edited = tmp_path / "edited.toml"
+    write_draft(Draft("# head\n[model]\n", ()), edited)
+    write_draft(Draft("# head\n[model]\nnew = 1\n", ()), edited)  # as `init` left it
+    edited.write_text(edited.read_text().replace("new", "mine"))
+    write_draft(Draft("# head\n", ()), tmp_path / "study.toml")
+    for path, said in (
+        (tmp_path, "file exists"),
+        (edited, "file exists"),
+        (tmp_path / "none" / "study.toml", "cannot be written"),
+    ):
         with pytest.raises(InputError, match=said):
             check_output(path)
+    write_draft(Draft("# head\n[model]\n", ()), edited, force=True)
+    assert "mine" not in edited.read_text()

@@ -14,6 +14,9 @@ from tests.support.table_variants import MODEL, SAID, TRUTH, writers
 
 WRITERS = writers()
 
+ROUGH = dict.fromkeys(("steps as two samples", "rates.tdms", "rates.h5"), 0.05)
+"""Variants with other samples, and how far their estimates are from those of the plain table, relative."""
+
 
 def test_the_page_counts_all_forms() -> None:
     page = (ROOT / "docs/tables.md").read_text(encoding="utf-8")
@@ -58,9 +61,10 @@ def test_the_same_estimates(
     reference = expected[variant.startswith("missing")]
     found = estimates(motor, tmp_path, variant)
     assert found.keys() == reference.keys() == TRUTH.keys()
+    close = ROUGH.get(variant, 1e-6)
     for name, each in found.items():
-        assert each["value"] == pytest.approx(reference[name]["value"], rel=1e-6)
-        assert each["std"] == pytest.approx(reference[name]["std"], rel=1e-3)
+        assert each["value"] == pytest.approx(reference[name]["value"], rel=close)
+        assert each["std"] == pytest.approx(reference[name]["std"], rel=1.0 if variant in ROUGH else 1e-3)
         assert abs(each["value"] - TRUTH[name]) < 4 * each["std"]
 
 

@@ -14,6 +14,7 @@ from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 from scipy.linalg import expm
 
+from tests.support import instrument_texts
 from tests.support.mat4 import characters, write_mat4
 
 MODEL = """
@@ -208,6 +209,7 @@ TEXTS: dict[str, tuple[str, str | bytes]] = {
     "missing: NaN": ("a.csv", marked("NaN")),
     "missing: #N/A": ("a.csv", marked("#N/A")),
     "missing: NULL": ("a.csv", marked("NULL")),
+    "missing: -999": ("a.csv", marked("-999")),
     "missing: 1.#QNAN": ("a.csv", marked("1.#QNAN")),
     # --- what nobody can know ---
     "shuffled": ("a.csv", text("time,u,i,w", frame=FRAME.sample(frac=1.0, random_state=1))),
@@ -217,9 +219,11 @@ TEXTS: dict[str, tuple[str, str | bytes]] = {
     "ms, unsaid": ("a.csv", text("time,u,i,w", frame=MS)),
     "milliseconds since 1970": ("a.csv", text("timestamp,u,i,w", frame=MS.assign(time=MS["time"] + 1.7952e12))),
     "rpm, unsaid": ("a.csv", text("time,u,i,n", frame=IN_RPM)),
-    "-999 for missing": ("a.csv", marked("-999")),
     "times without fractions": ("a.csv", text("time,u,i,w", frame=dated("%H:%M:%S"))),
 }  # fmt: skip
+
+
+TEXTS |= instrument_texts.texts(FRAME, DATES)
 
 
 def write_gzip(path: Path) -> None:
@@ -312,6 +316,57 @@ def write_mdf(path: Path) -> None:
         file.save(path)
 
 
+def signals() -> np.ndarray[Any, Any]:
+    """Return signals as Simulink writes them, a structure each."""
+    found = np.zeros((1, 3), dtype=[("values", object), ("dimensions", object), ("label", object)])
+    for j, name in enumerate("uiw"):
+        found[0, j] = (COLUMNS[name][:, None], 1.0, name)
+    return found
+
+
+def one_signal(frame: pd.DataFrame) -> dict[str, Any]:
+    """Return a structure with time of one signal with three elements."""
+    signal = {"values": frame.to_numpy(), "dimensions": 3.0, "label": "y"}
+    return {"time": COLUMNS["time"][:, None], "signals": signal, "blockName": "model/Scope"}
+
+
+def write_scope73(path: Path) -> None:
+    with h5py.File(path, "w", userblock_size=512) as file:
+        group, parts = file.create_group("Scope"), file.create_group("#refs#")
+        group["time"] = COLUMNS["time"][None]
+        own = group.create_group("signals")
+        values, labels = (own.create_dataset(name, (3, 1), dtype=h5py.ref_dtype) for name in ("values", "label"))
+        for j, name in enumerate("uiw"):
+            parts[f"v{j}"], parts[f"l{j}"] = COLUMNS[name][None], np.array([[ord(name)]], dtype=np.uint16)
+            parts[f"l{j}"].attrs["MATLAB_class"] = np.bytes_("char")
+            values[j, 0], labels[j, 0] = parts[f"v{j}"].ref, parts[f"l{j}"].ref
+    with path.open("r+b") as raw:
+        raw.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+
+
+def write_control_desk(path: Path) -> None:
+    axes = np.zeros((1, 1), dtype=[("Name", object), ("Data", object), ("Raster", object)])
+    axes[0, 0] = ("Time", COLUMNS["time"][None], "HostService")
+    found = np.zeros((1, 3), dtype=[("Name", object), ("Data", object), ("Unit", object), ("XIndex", object)])
+    for j, (name, unit) in enumerate({"u": "V", "i": "A", "w": "rad/s"}.items()):
+        found[0, j] = (f'"Model Root"/{name}', COLUMNS[name][None], unit, 1.0)
+    savemat(path, {"rec_001": {"X": axes, "Y": found, "Description": "a run"}})
+
+
+def write_two_rates(path: Path) -> None:
+    with TdmsWriter(path) as writer:
+        writer.write_segment([
+            ChannelObject("run", name, COLUMNS[name][::k], properties={"wf_increment": k / 100, "wf_start_offset": 0.0})
+            for name, k in {"u": 1, "i": 1, "w": 2}.items()
+        ])  # fmt: skip
+
+
+def write_vectors(path: Path, vectors: Mapping[str, Any]) -> None:
+    with h5py.File(path, "w") as file:
+        for name, values in vectors.items():
+            file[name] = values
+
+
 RIG, DRIVE = ["Rig 4", None, None, None], [None, "Drive", None, None]
 Write = Callable[[Path], object]
 FILES: dict[str, Write] = {
@@ -348,6 +403,16 @@ FILES: dict[str, Write] = {
     "dsres.mat": lambda path: write_result(path, transposed=False),
     "a.tdms": write_tdms,
     "a.mf4": write_mdf,
+    "scope.mat": lambda path: savemat(path, {"Scope": {"time": COLUMNS["time"][:, None], "signals": signals()}}),
+    "scope-matrix.mat": lambda path: savemat(path, {"Scope": one_signal(FRAME[["u", "i", "w"]])}),
+    "scope73.mat": write_scope73,
+    "tout.mat": lambda path: savemat(path, {"tout" if name == "time" else name: v for name, v in COLUMNS.items()}),
+    "recording.mat": write_control_desk,
+    "rates.tdms": write_two_rates,
+    "rates.h5": lambda path: write_vectors(path, COLUMNS | {"w": COLUMNS["w"][::2], "time_w": COLUMNS["time"][::2]}),
+    "lost.h5": lambda path: write_vectors(path, COLUMNS | {"w": COLUMNS["w"][::2]}),
+    "lost.mat": lambda path: savemat(path, COLUMNS | {"w": COLUMNS["w"][::2]}),
+    "a.pq": FRAME.to_parquet,
     "a.mdf": write_mdf,
 }  # fmt: skip
 
@@ -372,7 +437,15 @@ SAID = {
     "numbers alone": "no header",
     "ms, unsaid": "time unit looks wrong",
     "rpm, unsaid": "no column for the output w",
-    "-999 for missing": "3 samples are -999, far beyond all others",
     "unnamed.mat": "no numeric vectors",
+    "two Modelica tables": "2 Modelica tables",
+    "one block below another": "row 121 goes back",
+    "percent in cells": "is no real number",
+    "rows are columns": "is no real number",
+    "Tektronix TDS": "no column for the input u",
+    "Keysight InfiniiVision": "no column for the output",
+    "scope-matrix.mat": "no column for the output",
+    "lost.mat": "'w': 60 samples in place of 120",
+    "lost.h5": "'w': 60 samples in place of 120",
 }
 """Words that `fmuid init` says of the variants that do not lead to the same estimates."""

@@ -72,13 +72,14 @@ def init(
         list[str] | None,
         Option(metavar="KEY=VALUE", help="Number of the nameplate, e.g. 'P=1.1 kW'; repeatable."),
     ] = None,
+    force: Annotated[bool, Option("--force", help="Replace a study file that was edited.")] = False,
 ) -> int:
     """Write a first study file for an FMU and data; a terminal is asked in doubt."""
     from fmuid.reports.render import console
     from fmuid.reports.topics.init import asked_about, draft_document
     from fmuid.studies import InitOptions, check_output, draft, match_data_files, parse_column, value_of, write_draft
 
-    check_output(output)
+    check_output(output, force=force)
     columns = _pairs(map_ or (), "--map", "variable=column", "ids=Id_meas")
     words = _pairs(preprocess or (), "--preprocess", "key=value", "lowpass_frequency=100")
     asked = InitOptions(
@@ -92,7 +93,7 @@ def init(
     )
     records = [asked_about(record) for record in match_data_files(fmu, data, asked)]
     made = draft(fmu, records, output, _pairs(nameplate or (), "--nameplate", "key=value", "'P=1.1 kW'"))
-    write_draft(made, output)
+    write_draft(made, output, force=force)
     console.show(draft_document(made, output))
     return DONE if made.runs else NOT_SUCCEEDED
 

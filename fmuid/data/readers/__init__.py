@@ -18,7 +18,7 @@ from fmuid.errors import InputError
 from fmuid.files import ContentError
 
 BINARY: dict[str, tuple[str, Callable[[Path, str, str | int | None], FileColumns]]] = {
-    ".parquet": ("Parquet table", read_parquet),
+    **dict.fromkeys((".parquet", ".pq"), ("Parquet table", read_parquet)),
     ".feather": ("Feather table", read_feather),
     **dict.fromkeys((".xlsx", ".xlsm", ".xls", ".ods"), ("spreadsheet", read_spreadsheet)),
     ".mat": ("MAT file", read_mat),

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmuid.data.headers import TIME_NAMES, Array, Cell
+from fmuid.data.headers import TIME_NAMES, Array, Cell, is_time_name
 from fmuid.errors import InputError
 from fmuid.files import ContentError
 from fmuid.formatting import nearest
@@ -34,7 +34,7 @@ class FileColumns:
 
     `values` are numbers, dates (UTC if zoned), durations or cells. By place: `units` outside headers, time `zones`, the
     format's own `time`, and `days` for possible pandas durations. `below` is a row of units. Headers end in a unit only
-    if `units_in_headers`.
+    if `units_in_headers`. `clocks` are the places of columns' own times; `left_out` names what was not read, and why.
     """
 
     headers: tuple[str, ...]
@@ -45,6 +45,8 @@ class FileColumns:
     time: int | None = None
     days: tuple[int, ...] = ()
     units_in_headers: bool = True
+    clocks: dict[int, int] = field(default_factory=dict)
+    left_out: dict[str, str] = field(default_factory=dict)
 
 
 def library(name: str, extra: str, source: str) -> ModuleType:
@@ -68,17 +70,42 @@ def chosen(names: Sequence[str], wanted: str | int, source: str) -> str:
 def columns_of_vectors(
     source: str, vectors: Mapping[str, Array], units: Mapping[str, str], separator: str
 ) -> FileColumns:
-    """Return vectors of the time's, else the commonest length as columns."""
+    """Return vectors of the time's, else the commonest length as columns, and others with times of their own."""
     lengths = Counter(value.size for value in vectors.values() if value.size > 1)
     if not lengths:
         raise InputError(f"{source}: no numeric vectors. Save the columns as vectors of one length.")
-    timed = {value.size for name, value in vectors.items() if name.rpartition(separator)[2].lower() in TIME_NAMES}
-    length = max(lengths, key=lambda size: (size in timed, lengths[size], size))
-    columns = {name: value for name, value in vectors.items() if value.size == length}
+    times = {name: value.size for name, value in vectors.items() if is_time_name(name.rpartition(separator)[2])}
+    plain = {size for name, size in times.items() if name.rpartition(separator)[2].lower() in TIME_NAMES}
+    length = max(lengths, key=lambda size: (size in plain, lengths[size], size))
+    own: dict[str, str] = {}
+    left_out: dict[str, str] = {}
+    for name, value in vectors.items():
+        fitting = [clock for clock, size in times.items() if size == value.size > 1]
+        beside = [clock for clock in fitting if clock.rpartition(separator)[0] == name.rpartition(separator)[0]]
+        fitting = beside if len(beside) == 1 else fitting
+        if value.size != length and len(fitting) == 1:
+            own[name] = fitting[0]
+        elif value.size != length and value.size > 1:
+            left_out[name] = f"{value.size} samples in place of {length}, without times of their own"
+    columns = {name: value for name, value in vectors.items() if value.size == length or name in own}
     shared = len({name.rpartition(separator)[0] for name in columns}) == 1
     headers = tuple(name.rpartition(separator)[2] if shared else name for name in columns)
-    said = {k: units[name] for k, name in enumerate(columns) if name in units}
-    return FileColumns(headers, tuple(columns.values()), said)
+    return FileColumns(
+        headers,
+        padded([*columns.values()]),
+        {k: units[name] for k, name in enumerate(columns) if name in units},
+        clocks={k: [*columns].index(own[name]) for k, name in enumerate(columns) if own.get(name, name) != name},
+        left_out=left_out,
+    )
+
+
+def padded(columns: Sequence[Array]) -> tuple[Array, ...]:
+    """Return columns of one length; shorter ones end in missing samples."""
+    length = max((each.size for each in columns), default=0)
+    return tuple(
+        each if each.size == length else np.concatenate([each.astype(np.float64), np.full(length - each.size, np.nan)])
+        for each in columns
+    )
 
 
 def array_of_cells(cells: Sequence[Cell]) -> Array:

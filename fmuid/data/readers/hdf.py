@@ -35,11 +35,24 @@ def read_hdf(path: Path, source: str, frame: str | int | None) -> FileColumns:
             raise
 
 
-def vectors_of_hdf(path: Path, source: str) -> dict[str, Array]:
-    """Return the numeric vectors of a MAT file of version 7.3."""
+def variables_of_hdf(path: Path, source: str) -> dict[str, Any]:
+    """Return the variables of a MAT file of version 7.3: arrays, texts, lists of cells, mappings of structures."""
     with _opened(path, source) as file:
-        vectors, _ = _vectors(_objects(file))
-    return {name.replace("/", "."): value for name, value in vectors.items() if not name.startswith("#")}
+        return {name: _variable(file, item) for name, item in file.items() if not name.startswith("#")}
+
+
+def _variable(file: Any, item: Any) -> Any:
+    if not hasattr(item, "shape"):
+        fields = {name: _variable(file, each) for name, each in item.items()}
+        lists = [each for each in fields.values() if isinstance(each, list)]
+        if len(lists) == len(fields) and len({len(each) for each in lists}) == 1:  # an array of structures
+            return [dict(zip(fields, each, strict=True)) for each in zip(*lists, strict=True)]
+        return fields
+    if item.dtype.kind == "O":
+        return [_variable(file, file[each]) for each in item[()].ravel()]
+    if item.attrs.get("MATLAB_class") == b"char":
+        return "".join(map(chr, item[()].ravel()))
+    return np.transpose(item[()]) if item.ndim == 2 else item[()]
 
 
 def _objects(file: Any) -> list[tuple[str, Any]]:

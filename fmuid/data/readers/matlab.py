@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from fmuid.data.headers import Array, is_time_name
 from fmuid.data.readers.base import FileColumns, columns_of_vectors
-from fmuid.data.readers.hdf import vectors_of_hdf
+from fmuid.data.readers.hdf import variables_of_hdf
 from fmuid.errors import InputError
 
 Arrays = dict[str, npt.NDArray[Any]]
@@ -22,14 +23,20 @@ def read_mat(path: Path, source: str, _sheet: object) -> FileColumns:
     try:
         content = _content(path)
     except NotImplementedError:  # version 7.3 is HDF5
-        return columns_of_vectors(source, vectors_of_hdf(path, source), {}, ".")
+        return _of_variables(source, variables_of_hdf(path, source))
     if "Aclass" in content and content["Aclass"].dtype.kind == "U":
         return _result_columns(source, content)
-    vectors = dict(_vectors(content))
-    if not vectors and "MatlabOpaque" in str({value.dtype for value in content.values()}):
+    variables = {name: _plain(value) for name, value in content.items()}
+    if not any(_vectors(variables)) and "MatlabOpaque" in str({value.dtype for value in content.values()}):
         said = "MATLAB tables and timetables are not readable"
         raise InputError(f"{source}: {said}. Use writetimetable, parquetwrite or vectors.")
-    return columns_of_vectors(source, vectors, {}, ".")
+    return _of_variables(source, variables)
+
+
+def _of_variables(source: str, variables: Mapping[str, Any]) -> FileColumns:
+    found = list(_vectors(variables))
+    units = {name: unit for name, _, unit in found if unit}
+    return columns_of_vectors(source, {name: values for name, values, _ in found}, units, ".")
 
 
 def _content(path: Path) -> Arrays:
@@ -43,23 +50,67 @@ def _content(path: Path) -> Arrays:
     return {name: value for name, value in content.items() if isinstance(value, np.ndarray)}
 
 
-def _vectors(arrays: Arrays, prefix: str = "") -> Iterator[tuple[str, npt.NDArray[Any]]]:
-    """Yield numeric vectors by name, ``structure.field`` in structures."""
-    for name, value in arrays.items():
-        if value.dtype.names and value.size == 1:
-            fields = value.ravel()[0]
-            yield from _vectors({each: np.asarray(fields[each]) for each in value.dtype.names}, f"{prefix}{name}.")
-        elif value.dtype.kind in "biuf" and value.size == max(value.shape, default=0):
-            yield prefix + name, value.ravel()
-        elif value.dtype.kind in "biuf" and value.ndim == 2:
-            names = next((texts for texts in map(_names, arrays.values()) if len(texts) == value.shape[1]), [])
-            yield from ((each, value[:, k]) for k, each in enumerate(names))
+def _plain(value: Any) -> Any:
+    """Return a structure as a mapping, a cell or structure array as a list, characters as text."""
+    if not isinstance(value, np.ndarray):
+        return value
+    if value.dtype.names:
+        each = [{name: _plain(one[name]) for name in value.dtype.names} for one in value.ravel()]
+        return each[0] if len(each) == 1 else each
+    if value.dtype.kind == "O":
+        return [_plain(one) for one in value.ravel()]
+    return "".join(value.ravel()).strip() if value.dtype.kind in "US" else value
 
 
-def _names(value: npt.NDArray[Any]) -> list[str]:
-    """Return the texts of a cell array; none for other arrays."""
-    cells: Any = value.ravel() if value.dtype.kind == "O" else []
-    return ["".join(cell.ravel()).strip() for cell in cells if isinstance(cell, np.ndarray) and cell.dtype.kind == "U"]
+def _vectors(variables: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Array, str]]:
+    """Yield name, values and unit of each numeric vector, ``structure.field`` in structures."""
+    texts = [value for value in variables.values() if isinstance(value, list) and _are_texts(value)]
+    rows = {value.size for name, value in variables.items() if _is_vector(value) and is_time_name(name)}
+    for name, value in variables.items():
+        if isinstance(value, Mapping) and {"time", "signals"} <= set(value):
+            yield from _of_simulink(value, f"{prefix}{name}.")
+        elif isinstance(value, Mapping) and {"X", "Y"} <= set(value):
+            yield from _of_control_desk(value, f"{prefix}{name}.")
+        elif isinstance(value, Mapping):
+            yield from _vectors(value, f"{prefix}{name}.")
+        elif _is_vector(value):
+            yield prefix + name, value.ravel(), ""
+        elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.ndim == 2:
+            named = next((each for each in texts if len(each) == value.shape[1]), [])
+            if not named and value.shape[0] in rows:
+                named = [f"{name}{k + 1}" for k in range(value.shape[1])]
+            yield from ((each, value[:, k], "") for k, each in enumerate(named))
+
+
+def _is_vector(value: Any) -> bool:
+    return isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.size == max(value.shape, default=0)
+
+
+def _are_texts(cells: Sequence[Any]) -> bool:
+    return bool(cells) and all(isinstance(each, str) for each in cells)
+
+
+def _all(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else [value]
+
+
+def _of_simulink(given: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Array, str]]:
+    """Yield time and signals of a structure with time, by their labels."""
+    yield f"{prefix}time", given["time"].ravel(), ""
+    for k, signal in enumerate(_all(given["signals"]), start=1):
+        name = str(signal.get("label", "") or signal.get("title", "") or f"signal{k}")
+        values = np.atleast_1d(np.squeeze(signal["values"]))
+        if values.ndim == 1:
+            yield prefix + name, values, ""
+        elif values.ndim == 2:
+            yield from ((f"{prefix}{name}{j + 1}", values[:, j], "") for j in range(values.shape[1]))
+
+
+def _of_control_desk(given: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Array, str]]:
+    """Yield axes and signals of a recording of dSPACE ControlDesk; each signal may have an axis of its own."""
+    for signal in (*_all(given["X"]), *_all(given["Y"])):
+        name, unit = str(signal["Name"]).strip('"').rpartition("/")[2].strip('"'), str(signal.get("Unit", "") or "")
+        yield prefix + name, np.ravel(signal["Data"]), "" if unit == "-" else unit
 
 
 def _result_columns(source: str, arrays: Arrays) -> FileColumns:

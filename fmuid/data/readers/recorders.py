@@ -12,7 +12,7 @@ import numpy as np
 
 from fmuid.data.expressions import evaluate
 from fmuid.data.headers import Array
-from fmuid.data.readers.base import FileColumns, array_of_cells, library
+from fmuid.data.readers.base import FileColumns, array_of_cells, library, padded
 from fmuid.errors import InputError
 from fmuid.formatting import bounded
 
@@ -25,21 +25,44 @@ def read_tdms(path: Path, source: str, _sheet: object) -> FileColumns:
     groups = [group.channels() for group in nptdms.TdmsFile.read(path).groups()]
     channels: list[Any] = max(groups, key=lambda found: sum(len(channel) for channel in found), default=[])
     length = max((len(channel) for channel in channels), default=0)
-    kept = [channel for channel in channels if len(channel) == length]
     if not length:
         raise InputError(f"{source}: the file has no channels with samples: record it again")
-    headers = [channel.name for channel in kept]
-    values = [_plain(channel[:]) for channel in kept]
+    headers = [channel.name for channel in channels]
+    values = [_plain(channel[:]) for channel in channels]
     units = {
         k: str(channel.properties[name])
-        for k, channel in enumerate(kept)
+        for k, channel in enumerate(channels)
         for name in _UNIT_PROPERTIES
         if channel.properties.get(name)
     }
-    time = None
-    if "wf_increment" in kept[0].properties and "time" not in headers:
-        headers, values, time = [*headers, "time"], [*values, kept[0].time_track()], len(headers)
-    return FileColumns(tuple(headers), tuple(values), units, time=time, units_in_headers=False)
+    tracks: dict[tuple[int, float, float], int] = {}  # waveforms: samples, begin and increment, and place of their time
+    clocks: dict[int, int] = {}
+    for k, channel in enumerate(channels):
+        found = channel.properties
+        if "wf_increment" not in found or "time" in headers[: len(channels)]:
+            continue
+        key = len(channel), float(found.get("wf_start_offset", 0.0)), float(found["wf_increment"])
+        if key not in tracks:
+            tracks[key] = len(headers)
+            headers.append("time" if len(tracks) == 1 else f"time {len(tracks)}")
+            values.append(channel.time_track())
+        clocks[k] = tracks[key]
+    timed = [k for k, each in enumerate(values) if k in clocks or each.size == length or k >= len(channels)]
+    left_out = {
+        headers[k]: f"{each.size} samples in place of {length}, without times of their own"
+        for k, each in enumerate(values)
+        if k not in timed
+    }
+    place = {k: new for new, k in enumerate(timed)}
+    return FileColumns(
+        tuple(headers[k] for k in timed),
+        padded([values[k] for k in timed]),
+        {place[k]: unit for k, unit in units.items() if k in place},
+        time=place[min(tracks.values())] if tracks else None,
+        units_in_headers=False,
+        clocks={place[k]: place[clock] for k, clock in clocks.items()} if len(tracks) > 1 else {},
+        left_out=left_out,
+    )
 
 
 def read_mdf(path: Path, source: str, _sheet: object) -> FileColumns:

@@ -33,6 +33,7 @@ from fmuid.data.headers import (
     numbers_of,
 )
 from fmuid.data.readers.encodings import decoded
+from fmuid.data.readers.instruments import rewriter_of
 from fmuid.errors import InputError
 
 _LOOKED_AT = 1 << 18
@@ -46,6 +47,8 @@ _SPREADSHEET = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
 _OF_MACS = re.compile(r"(^|/)(__MACOSX/|\.)")
 """Entries that a Mac adds to archives."""
 _COMMENT = ("#", "%", "//")
+_COMMENTS = "Comment"
+"""Last header of LabVIEW, above cells that are often left out."""
 
 
 @dataclass(frozen=True)
@@ -72,13 +75,21 @@ def read_text(path: Path, source: str) -> RawTable:
             raise InputError(f"{source}: not a text file. Give a table.")
         with suppress(UnicodeDecodeError):  # further down: the next encoding is tried
             again = _as_utf8(opened, encoding, text)
+            rewrite = rewriter_of(text.removeprefix("\ufeff"))
+            if rewrite is not None:
+                with again() as file:
+                    lines = file.read().decode("utf-8-sig").splitlines()
+                again = partial(io.BytesIO, "\n".join(rewrite(lines, source)).encode())
             with again() as file:
                 first = file.read(_LOOKED_AT)
             shown = codecs.getincrementaldecoder("utf-8-sig")().decode(first, final=len(first) < _LOOKED_AT)
             layout = _layout(source, shown if short else shown[: shown.rfind("\n") + 1] or shown)
             names, said = named(layout.head.names, layout.head.units)
             check_once(source, names)
-            return RawTable(_samples(_without_end(again, layout), source, layout, names), said)
+            frame = _samples(_without_end(again, layout), source, layout, names)
+            if layout.head.step is not None:  # it may stand for an empty column of times
+                frame = frame.loc[:, frame.notna().any()]
+            return RawTable(frame, said, step=layout.head.step)
     raise InputError(f"{source}: not text in UTF-8, UTF-16 or cp1252. Save it as UTF-8.")
 
 
@@ -190,7 +201,8 @@ def _without_blank_ends(rows: list[list[str]]) -> tuple[list[list[str]], int]:
     """Return rows without an always empty last cell, and its count."""
     usual = Counter(map(len, rows)).most_common(1)
     length = usual[0][0] if usual else 0
-    ends = length > 1 and not any(row[-1].strip() for row in rows if len(row) == length)
+    rows = [row[:length] if len(row) == length + 1 and row[-1].strip() == _COMMENTS else row for row in rows]
+    ends = length > 1 and not any(row[-1].strip().removeprefix(_COMMENTS) for row in rows if len(row) == length)
     return [row[: length - 1] if len(row) == length else row for row in rows] if ends else rows, int(ends)
 
 

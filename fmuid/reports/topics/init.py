@@ -21,6 +21,8 @@ class InitMessage(Message, section="columns"):
     """Notes of `fmuid init` on a data file."""
 
     UNUSED = plain("Columns without role: {columns}.")
+    NOTE = plain("{column!r}: {why}.")
+    CLOCKS = plain("Several time columns: {clocks}.")
     REFUSED = doubt("{words}")
     NO_INPUT = doubt(
         "{file}: no column for the input {names}.",
@@ -39,9 +41,9 @@ class InitMessage(Message, section="columns"):
         remedy="Remove it from the outputs if nothing was measured.",
     )
     MARKS = doubt(
-        "{file}: {count} samples of {column!r} are {value:g}, far from all others.",
+        "{file}: {count} samples of {column!r} are {value:g}, taken as missing.",
         "a logger's mark for missing samples",
-        "Leave these cells empty if the samples are missing.",
+        "Set missing = [] if they were measured.",
     )
     NO_SURVEY = doubt("Effects of the parameters unknown: {failure}")
 
@@ -61,6 +63,9 @@ QUESTION = "Correct? Enter: continue; variable=column: change; variable=: no col
 def record_section(record: MatchedDataFile) -> Section:
     """Return matched columns and warnings of a data file."""
     said = [InitMessage.UNUSED.said("", columns=", ".join(record.unused))] if record.unused else []
+    said += [InitMessage.NOTE.said("", column=column, why=why) for column, why in record.notes.items()]
+    if record.clocks:
+        said.append(InitMessage.CLOCKS.said("", clocks=", ".join(f"{a} at {b}" for a, b in record.clocks.items())))
     said += remarks(record)
     title = heading(record, str(record.path))
     return Section("columns", title, table=links_table(record), remarks=tuple(said))
@@ -111,8 +116,9 @@ def remarks(record: MatchedDataFile) -> list[Remark]:
         found.append(gap_remark(file, record.dropouts))
     for column, value in record.constant.items():
         say(InitMessage.CONSTANT, column=column, value=value)
-    for column, (value, count) in record.marks.items():
-        say(InitMessage.MARKS, column=column, value=value, count=count)
+    for column, own in record.marks.items():
+        for value, count in own.items():
+            say(InitMessage.MARKS, column=column, value=value, count=count)
     return found
 
 

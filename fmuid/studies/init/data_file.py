@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmuid.data import dropouts, read_data, time_name
+from fmuid.data import CLOCKS, COMMON_MARKS, LEFT_OUT, dropouts, far_values, read_data, time_name
 from fmuid.errors import InputError
 from fmuid.studies.init.column_matching import ColumnMatch, guess
 from fmuid.units import unit_in_name
@@ -40,22 +40,32 @@ class InitOptions:
     columns: Mapping[str, str] = field(default_factory=dict)
     prepare: Mapping[str, Any] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
+    missing: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class MatchedDataFile:
-    """Data file with its columns matched."""
+    """Data file with its columns matched; `marks` are numbers taken as missing, with their count, by column."""
 
     path: Path
     asked: InitOptions
     description: Description = field(repr=False)
     frame: pd.DataFrame = field(repr=False)
+    marks: Mapping[str, Mapping[float, int]] = field(default_factory=dict)
 
     @classmethod
     def read(cls, path: Path, description: Description, asked: InitOptions) -> MatchedDataFile:
         """Read a data file."""
         how = {word: getattr(asked, word) for word in ("time_unit", "sample_rate", "sheet")}
-        return cls(path, asked, description, read_data(path, asked.time, **how))
+        frame = read_data(path, asked.time, **how)
+        numbers = {str(name): column for name, column in frame.select_dtypes("number").items() if name != asked.time}
+        found = {name: far_values(np.asarray(column, dtype=np.float64)) for name, column in numbers.items()}
+        marks = {name: own for name, own in found.items() if own and set(own) <= set(COMMON_MARKS)}
+        if not marks:
+            return cls(path, asked, description, frame)
+        missing = tuple(sorted({value for own in marks.values() for value in own}))
+        asked = replace(asked, missing=missing)
+        return cls(path, asked, description, read_data(path, asked.time, missing=missing, **how), marks)
 
     def with_columns(self, columns: Mapping[str, str]) -> MatchedDataFile:
         """Return the same with more known columns."""
@@ -91,8 +101,18 @@ class MatchedDataFile:
     @property
     def unused(self) -> tuple[str, ...]:
         """Columns without a role."""
-        used = {link.column for link in self.links}
+        used = {link.column for link in self.links} | {*self.clocks.values()}
         return tuple(column for column in self.columns if column not in used)
+
+    @property
+    def notes(self) -> Mapping[str, str]:
+        """Columns that were left out or changed, with the reason."""
+        return dict(self.frame.attrs.get(LEFT_OUT, {}))
+
+    @property
+    def clocks(self) -> Mapping[str, str]:
+        """Time column of each column; none of a single clock."""
+        return dict(self.frame.attrs.get(CLOCKS, {}))
 
     @cached_property
     def held(self) -> tuple[str, ...]:
@@ -144,7 +164,7 @@ class MatchedDataFile:
         words: dict[str, Any] = {"data": str(self.path.absolute()), "name": self.path.stem, "time": self.asked.time}
         words |= {"inputs": self.roles("input"), "outputs": self.roles("output")}
         words |= {"interpolation": self.interpolation, "preprocess": dict(self.asked.prepare)}
-        words |= {"units": dict(self.asked.units)}
+        words |= {"units": dict(self.asked.units)} | ({"missing": [*self.asked.missing]} if self.marks else {})
         return ExperimentSettings.read(words, SectionLocation(str(self.path), Path()))
 
     def _measured(self) -> Iterator[tuple[str, Floats]]:
@@ -167,16 +187,3 @@ class MatchedDataFile:
     def constant(self) -> dict[str, float]:
         """Outputs that never change, with their value."""
         return {column: float(np.nanmin(y)) for column, y in self._measured() if np.nanmin(y) == np.nanmax(y)}
-
-    @property
-    def marks(self) -> dict[str, tuple[float, int]]:
-        """Repeated values, ten ranges from all others, with their number, by output."""
-        found: dict[str, tuple[float, int]] = {}
-        for column, samples in self._measured():
-            values = samples[np.isfinite(samples)]
-            for odd in (values.min(), values.max()):
-                rest = values[values != odd]
-                far = rest.size > 1 and min(abs(odd - rest.min()), abs(odd - rest.max())) > 10.0 * np.ptp(rest) > 0
-                if far and values.size - rest.size > 1:
-                    found[column] = float(odd), int(values.size - rest.size)
-        return found

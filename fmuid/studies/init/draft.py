@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -105,21 +107,39 @@ def draft(fmu: Path, records: Sequence[MatchedDataFile], output: Path, plate: Ma
     return Draft("\n".join(lines) + "\n", tuple(records), found)
 
 
-def write_draft(made: Draft, output: Path) -> None:
-    """Write the study file, which must be new."""
-    if exists(output):
-        raise InputError(f"{output}: file exists. Choose another name with --output, or remove it.")
+def write_draft(made: Draft, output: Path, *, force: bool = False) -> None:
+    """Write the study file; it replaces one that `init` wrote and nobody changed, others with `force`."""
+    check_output(output, force=force)
+    head, _, body = made.text.partition("\n")
     try:
-        with output.open("x", encoding="utf-8") as file:
-            file.write(made.text)
+        output.write_text(f"{head} [{_digest(body)}]\n{body}", encoding="utf-8")
     except OSError as error:
         raise InputError(f"{output}: cannot be written: {error.strerror}.") from None
 
 
-def check_output(output: Path) -> None:
-    """Check that a new study file can be written."""
-    write_draft(Draft("", ()), output)
-    output.unlink()
+def check_output(output: Path, *, force: bool = False) -> None:
+    """Check that a study file can be written."""
+    if exists(output) and not force and not _is_untouched(output):
+        raise InputError(f"{output}: file exists. Choose another name with --output, or replace it with --force.")
+    try:
+        with output.open("a", encoding="utf-8") as file:
+            is_new = file.tell() == 0
+    except OSError as error:
+        raise InputError(f"{output}: cannot be written: {error.strerror}.") from None
+    if is_new:
+        output.unlink()
+
+
+def _digest(body: str) -> str:
+    return f"{zlib.crc32(body.encode()):08x}"
+
+
+def _is_untouched(path: Path) -> bool:
+    """Return True if a file is as `write_draft` left it."""
+    with suppress(OSError, UnicodeDecodeError):
+        head, _, body = path.read_text(encoding="utf-8").partition("\n")
+        return head.endswith(f" [{_digest(body)}]")
+    return False
 
 
 def _experiment(record: MatchedDataFile, output: Path, name: str, *, first: bool) -> list[str]:
@@ -137,6 +157,7 @@ def _experiment(record: MatchedDataFile, output: Path, name: str, *, first: bool
         *_role(record, "input"),
         *_role(record, "output"),
         *([f"# unused columns: {listed(record.unused)}"] if record.unused else []),
+        *([f"missing = {toml_text([*asked.missing])}  # taken for marks of missing samples"] if asked.missing else []),
         *([f"units = {toml_text(asked.units)}"] if asked.units else []),
         *([f"preprocess = {toml_text(asked.prepare)}"] if asked.prepare else []),
         *(['# for other column names: outputs = { fmu_variable = "column" }'] if first else []),

@@ -1,0 +1,57 @@
+"""Texts of instruments that are no header above rows, rewritten as one."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Callable, Iterator, Sequence
+
+from fmuid.errors import InputError
+
+_TABLE = re.compile(r"(?:double|float)\s+(?P<name>[\w.]+)\s*\(\s*(?P<rows>\d+)\s*,\s*(?P<columns>\d+)\s*\)(?P<rest>.*)")
+
+
+def _one_channel(lines: Sequence[str], _source: str) -> Iterator[str]:
+    """Yield Tektronix TDS: settings in the first two columns, times and samples in the next."""
+    rows = list(csv.reader(lines))
+    said = {row[0].strip().lower(): row[1].strip() for row in rows if row and row[0].strip()}
+    yield f"time [{said.get('horizontal units', 's')}],{said.get('source', 'CH1')} [{said.get('vertical units', '')}]"
+    yield from (",".join(row[3:5]) for row in rows if len(row) >= 5)
+
+
+def _numbered(lines: Sequence[str], _source: str) -> Iterator[str]:
+    """Yield Rigol: row numbers in place of times, start and increment in the header."""
+    names, units, *rows = csv.reader(line for line in lines if line.strip())
+    place = names.index("Start")
+    start, step = float(units[place]), float(units[place + 1])
+    heads = (f"{name} [{unit}]" for name, unit in zip(names[1:place], units[1:place], strict=True))
+    yield ",".join(("time [s]", *heads))
+    yield from (",".join((repr(start + step * float(row[0])), *row[1:place])) for row in rows)
+
+
+def _modelica(lines: Sequence[str], source: str) -> Iterator[str]:
+    """Yield a table of Modelica's CombiTimeTable: times first, names perhaps in a comment."""
+    found = [(k, head) for k, line in enumerate(lines) if (head := _TABLE.match(line.strip()))]
+    if len(found) != 1:
+        raise InputError(f"{source}: {len(found)} Modelica tables. Keep one of them in a file.")
+    ((place, head),) = found
+    comments = [head["rest"], *(line for line in lines[1:place][::-1])]
+    names = [comment.strip().lstrip("#").replace(",", " ").split() for comment in comments]
+    count = int(head["columns"])
+    yield " ".join(
+        next((each for each in names if len(each) == count), ["time", *map("c{}".format, range(2, count + 1))])
+    )
+    yield from (line.partition("#")[0].replace(",", " ").replace(";", " ") for line in lines[place + 1 :])
+
+
+_LAYOUTS: tuple[tuple[re.Pattern[str], Callable[[Sequence[str], str], Iterator[str]]], ...] = (
+    (re.compile(r'"?Record Length"?,[^,\n]*,[^,\n]*,[^,\n]*\d,[^,\n]*\d', re.IGNORECASE), _one_channel),
+    (re.compile(r"X,.*\bStart,Increment\b.*\n"), _numbered),
+    (re.compile(r"#1\s*\n(?:\s*#.*\n|\s*\n)*\s*(?:double|float)\s"), _modelica),
+)
+"""How the text begins, and who rewrites it."""
+
+
+def rewriter_of(start: str) -> Callable[[Sequence[str], str], Iterator[str]] | None:
+    """Return the function that rewrites the lines of a text, by its begin; None for plain tables."""
+    return next((function for begin, function in _LAYOUTS if begin.match(start)), None)
