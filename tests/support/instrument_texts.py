@@ -87,7 +87,7 @@ def labview(columns: str, rows: str, decimal: str = ".") -> str:
     return LABVIEW.format(decimal=decimal, columns=columns) + names + "\tComment\n" + rows
 
 
-def texts(frame: pd.DataFrame, dates: pd.Series) -> dict[str, tuple[str, str]]:  # type: ignore[type-arg]
+def texts(frame: pd.DataFrame, dates: pd.Series) -> dict[str, tuple[str, str]]:
     """Return file name and text of each instrument, of a record of time, u, i, w in steps of 10 ms."""
     bare, ms = frame[["u", "i", "w"]], frame.assign(time=1e3 * frame["time"])
     mixed = bare.assign(i=1e3 * bare["i"], w=bare["w"] * 9.549296585513721)
