@@ -222,7 +222,7 @@ def _scaled(values: Any, factor: float) -> Any:
 
 
 def _with_milliseconds(raw: RawTable, clock: _Clock) -> _Clock:
-    """Return a clock of whole seconds with the milliseconds that stand in a column of their own."""
+    """Return a clock with the milliseconds of a column of their own."""
     found = [str(name) for name in raw.frame.columns if str(name).strip().lower() in _MILLISECONDS]
     if len(found) != 1 or found[0] == clock.name or not pd.api.types.is_numeric_dtype(raw.frame[found[0]].dtype):
         return clock
@@ -278,7 +278,7 @@ def missing_column(
     remedy: str = "Name the right column.",
     left_out: Mapping[str, str] | None = None,
 ) -> str:
-    """Return the sentences on a missing column, with the reason, or near names."""
+    """Return the sentences on a missing column, with reason or near names."""
     if left_out and column in left_out:
         return f"{role} column {column!r} was not read: {left_out[column]}. Save it with its times, or resample it."
     names = [str(name) or "(no name)" for name in known]

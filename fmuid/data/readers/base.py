@@ -70,7 +70,7 @@ def chosen(names: Sequence[str], wanted: str | int, source: str) -> str:
 def columns_of_vectors(
     source: str, vectors: Mapping[str, Array], units: Mapping[str, str], separator: str
 ) -> FileColumns:
-    """Return vectors of the time's, else the commonest length as columns, and others with times of their own."""
+    """Return vectors as columns; others than the time's length need times of their own."""
     lengths = Counter(value.size for value in vectors.values() if value.size > 1)
     if not lengths:
         raise InputError(f"{source}: no numeric vectors. Save the columns as vectors of one length.")

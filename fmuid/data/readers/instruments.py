@@ -53,5 +53,5 @@ _LAYOUTS: tuple[tuple[re.Pattern[str], Callable[[Sequence[str], str], Iterator[s
 
 
 def rewriter_of(start: str) -> Callable[[Sequence[str], str], Iterator[str]] | None:
-    """Return the function that rewrites the lines of a text, by its begin; None for plain tables."""
+    """Return what rewrites a text, by its begin; None for plain tables."""
     return next((function for begin, function in _LAYOUTS if begin.match(start)), None)

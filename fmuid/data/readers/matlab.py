@@ -51,7 +51,7 @@ def _content(path: Path) -> Arrays:
 
 
 def _plain(value: Any) -> Any:
-    """Return a structure as a mapping, a cell or structure array as a list, characters as text."""
+    """Return structures as mappings, cells as lists, characters as text."""
     if not isinstance(value, np.ndarray):
         return value
     if value.dtype.names:
