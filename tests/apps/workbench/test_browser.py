@@ -18,7 +18,7 @@ from tests.support.coil_study import STUDY
 from tests.support.cut_wire import Wire
 from tests.support.misbehaving import Mode, misbehaving_fmu
 from tests.support.results import result
-from tests.support.workbench import coil_study, running
+from tests.support.workbench import coil_study, described, running
 
 pytestmark = pytest.mark.browser
 
@@ -257,7 +257,7 @@ def test_the_keyboard_reaches_all_of_each_page(browser: Any, address: str, folde
 
     (folder / "faults.toml").write_text(STUDY + "[diagnosis]\n")
     (folder / "old").mkdir()
-    result(folder / "old", {"R": (4.0, 0.1)})
+    described(result(folder / "old", {"R": (4.0, 0.1)}))
     batch(folder / "out", 3)
     browser.get(address)
     base = address.split("?")[0]
