@@ -12,14 +12,13 @@ import pytest
 
 import fmuid
 from fmuid.diagnosis import compute_stored_baseline
-from tests.support.winding_machine import MACHINE, STUDY_AXES, Condition, Drive, excitation, tables
+from tests.support.winding_machine import MACHINE, STUDY_AXES, Condition, Drive, excitation, leaking_stator, tables
 
 FMUS = "fmus"
 NOISE, COUNT, SETS = 0.1, 2000, 4
 SOUND = Condition()
 IMPERFECT = Condition(saturation=0.15, gain=(0.02, -0.01), dead_time=1.5)
-LAGS = [share * MACHINE["Lf"] / MACHINE["Rs"] for share in (0.1, 0.25, 0.5)]  # of turns with this leakage
-SHARED = ("Rs", "uds", "uqs")
+OWN = (0.1, 0.25, 0.5)  # leakage of the shorted turns alone
 STD_FACTOR = {"Rs": 60.0, "Rr": 150.0, "Lm": 3.0, "Lf": 3.0}
 
 
@@ -29,23 +28,15 @@ def system() -> fmuid.System:
 
 def faults() -> dict[str, fmuid.Fault]:
     """Return those of the shipped study: shorted turns beside the machine, and broken bars."""
-    turns = {f"fault.eta_{p}": fmuid.Parameter(0.0, nominal=0.01, min=0.0) for p in "abc"}
-    machine, short = (f"{FMUS}/{name}/{name}.fmu" for name in ("InductionMachine", "StatorShortCircuitLeakage"))
-    connectors = {
-        name: [(f"{part}.{name}", 1.0, 0.0) for part in ("machine", "fault")] for name in ("Rs", "uds", "uqs")
-    }
-    both = fmuid.System(components={"machine": machine, "fault": short}, connectors=connectors)
     rotor = f"{FMUS}/InductionMachineRotorFault/InductionMachineRotorFault.fmu"
-    names = {name: f"machine.{name}" for name in ("Rr", "Lm", "Lf", "w")}
+    names = {name: f"machine.{name}" for name in ("Rr", "Lm", "w")}
     names |= {name: f"machine.{name} + fault.{name}" for name in ("ids", "iqs")}
     bars = {
         "eta0": fmuid.Parameter(0.0, min=0.0, nominal=0.1),
         "theta0": fmuid.Parameter(0.0, min=0.0, max=np.pi, nominal=1.0),
     }
     return {
-        "stator": fmuid.Fault(
-            both, turns, variable_map=names, inputs={"fault.theta": "theta"}, nuisance={"fault.lag": LAGS}
-        ),
+        "stator": leaking_stator(OWN),
         "rotor": fmuid.Fault(rotor, bars, angles=["theta0"]),
     }
 

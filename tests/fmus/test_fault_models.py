@@ -15,6 +15,8 @@ import pytest
 import fmuid
 from experiments.machine_faults import models
 from tests.support.paths import FMUS
+from tests.support.winding_machine import CONTACT, STUDY_AXES, Condition, excitation, leaking_stator, tables
+from tests.support.winding_machine import MACHINE as MACHINE_IN_WINDINGS
 
 Array = npt.NDArray[np.floating]
 
@@ -138,6 +140,20 @@ def test_leaking_turns_settle_at_those_without_leakage(frame: pd.DataFrame) -> N
     held = frame.assign(uds=90.0, uqs=-50.0, theta=0.7)
     given, stator = {"Rs": 8.5, "eta_b": 0.12, "contact": 0.05}, (["uds", "uqs", "theta"], ["ids", "iqs"])
     expected = run(path("StatorShortCircuitContact"), held, *stator, given)
-    found = run(path("StatorShortCircuitLeakage"), held, *stator, given | {"lag": 1e-3})
+    found = run(path("StatorShortCircuitLeakage"), held, *stator, given | {"own": 0.2})
     np.testing.assert_allclose(found[-1], expected[-1], rtol=1e-9)
     assert abs(found[2] - expected[2]).max() > 0.01 * abs(expected[2]).max()
+
+
+@pytest.mark.parametrize(("turns", "own"), [(0.02, 0.3), (0.1, 0.05), (0.3, 0.4)])
+def test_leaking_turns_are_those_of_a_machine_in_its_windings(turns: float, own: float) -> None:
+    """Beside the machine, at varying speed; phase b, from the same contact."""
+    (table,) = tables([excitation(500, 5)], [Condition(turns=turns, phase=1, own=own)], 0.0, 1)
+    fault = leaking_stator(())
+    machine = {"Rs": "Rs", "Lf": "Lf", "Rr": "machine.Rr", "Lm": "machine.Lm"}
+    values = {machine[name]: value for name, value in MACHINE_IN_WINDINGS.items()}
+    values |= {"fault.own": own, "fault.contact": CONTACT, "fault.eta_b": turns}
+    experiment = fault.renamed(fmuid.Experiment(table, ["w"], observation=STUDY_AXES))
+    found = fmuid.Simulator(fault.model, experiment, values=values)([])
+    np.testing.assert_allclose(found, table[["ia", "ib"]], rtol=0, atol=1e-5)
+    assert abs(fmuid.Simulator(fault.model, experiment, values=values | {"fault.eta_b": 0.0})([]) - found).max() > 0.1

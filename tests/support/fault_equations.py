@@ -24,18 +24,35 @@ def short_circuit(_: Any, u: Any, p: Any) -> Any:
     return sum(2 / 3 * p[f"eta_{phase}"] / p["Rs"] * back @ towards(angle) @ there @ u[:2] for phase, angle in ratios)
 
 
-AXES = np.array([(np.cos(a), np.sin(a)) for a in (0, 2 * np.pi / 3, 4 * np.pi / 3)])  # of the phases, in the stator
-
-
 def leaking_turns(x: Any, u: Any, p: Any) -> Any:
-    """Each phase's added current follows that without leakage, with a lag."""
+    """As `short_circuit_with_contact` with leakage, at some current of the healthy machine that changes at some rate.
+
+    Unknown: the rates of the zero sequence and of the short circuits, the voltage of the star point, and the e.m.f.
+    """
     ratios = np.array([p[f"eta_{phase}"] for phase in "abc"])
-    ratios = ratios / (1 - ratios * 2 / 3 + p["contact"])
-    return (2 / 3 * ratios / p["Rs"] * (AXES @ rotation(u[2]) @ u[:2]) - x) / p["lag"]
+    park = park_of(u[2])
+    healthy, rates, voltages = park.T @ np.array([1.3, -0.4]), park.T @ np.array([170.0, 60.0]), park.T @ u[:2]
+    lines, right = np.zeros((8, 8), dtype=np.result_type(park, x)), np.zeros(8, dtype=np.result_type(park, x))
+    zero, shorts, star, emf = 0, slice(1, 4), 4, slice(5, 8)
+    lines[0, zero], lines[0, shorts] = 3, ratios
+    drop = p["Rs"] * (healthy - ratios @ x / 3) + p["Lf"] * rates
+    lines[1:4, emf], lines[1:4, star], lines[1:4, zero] = np.eye(3), 1, p["Lf"]
+    right[1:4] = voltages - drop
+    lines[4:7, emf], lines[4:7, zero] = np.eye(3), p["Lf"]
+    lines[4:7, shorts] = -p["own"] * p["Lf"] * np.diag(1 - ratios)
+    right[4:7] = p["Rs"] * (1 - ratios + p["contact"]) * x - drop
+    lines[7, emf] = 1
+    return np.linalg.solve(lines, right)[shorts]
 
 
-def along_axes(x: Any, u: Any, _: Any) -> Any:
-    return rotation(-u[2]) @ AXES.T @ x
+def leaking_turns_currents(x: Any, u: Any, p: Any) -> Any:
+    return park_of(u[2]) @ (np.array([p[f"eta_{phase}"] for phase in "abc"]) * x)
+
+
+def park_of(theta: Any) -> Any:
+    """Return the transform of phases to Park axes (2, 3)."""
+    angles = theta - np.array([0, 2 * np.pi / 3, -2 * np.pi / 3])
+    return np.sqrt(2 / 3) * np.array([np.cos(angles), -np.sin(angles)])
 
 
 def broken_bars(x: Any, u: Any, p: Any) -> Any:
@@ -65,8 +82,7 @@ def short_circuit_with_contact(_: Any, u: Any, p: Any) -> Any:
     and the e.m.f. of the three phases, whose sum is zero.
     """
     ratios = np.array([p[f"eta_{phase}"] for phase in "abc"])
-    angles = u[2] - np.array([0, 2 * np.pi / 3, -2 * np.pi / 3])
-    park = np.sqrt(2 / 3) * np.array([np.cos(angles), -np.sin(angles)])
+    park = park_of(u[2])
     healthy, voltages = park.T @ np.array([1.3, -0.4]), park.T @ u[:2]
     lines, right = np.zeros((8, 8), dtype=park.dtype), np.zeros(8, dtype=park.dtype)
     zero, shorts, star, emf = 0, slice(1, 4), 4, slice(5, 8)

@@ -12,12 +12,12 @@ from scipy.integrate import solve_ivp
 from fmuid.data.signals import T23
 from tests.support.closed_forms import park_rates
 from tests.support.fault_equations import (
-    along_axes,
     broken_bars,
     coil_turns,
     cracked_bars,
     faulty_coil,
     leaking_turns,
+    leaking_turns_currents,
     rotation,
     short_circuit,
     short_circuit_with_contact,
@@ -212,7 +212,7 @@ CURRENT_STARTS = {"phid_start": 0.6, "phiq_start": -0.4, "wanted_start": 1.4, "v
 DRIVE = {"M": 88.0, "Fv": 230.0, "Fc": 23.0, "offset": -4.0, "gtau": 33.0, "dq_eps": 1.2e-3}
 MACHINE_STARTS = {"ids_start": 1.2, "iqs_start": -0.7} | FLUXES
 RATIOS = {"eta_a": 0.011, "eta_b": 0.024, "eta_c": 0.043, "Rs": 8.5}
-LEAKAGE = RATIOS | {"lag": 2e-3, "contact": 0.4, "ja_start": 0.3, "jb_start": -0.2, "jc_start": 0.1}
+LEAKAGE = RATIOS | {"Lf": 0.06, "own": 0.3, "contact": 0.4, "ia_start": 0.3, "ib_start": -0.2, "ic_start": 0.1}
 COIL = {"R": 3.3, "L": 0.08, "i_start": -0.4}
 MOVES = {"q_start": 0.1, "dq_start": -0.02}
 SHAFT = {"J": 0.017, "f": 0.06, "p": 3.0, "period": 1e-4, "speed_start": 70.0, "angle_start": 0.3}
@@ -245,7 +245,7 @@ REFERENCES = {
         "", "uds uqs theta", "ids iqs", RATIOS, (nothing, short_circuit), (300.0, 300.0, 3.0), 7e-4
     ),
     "StatorShortCircuitLeakage": reference(
-        "ja jb jc", "uds uqs theta", "ids iqs", LEAKAGE, (leaking_turns, along_axes),
+        "ia ib ic", "uds uqs theta", "ids iqs", LEAKAGE, (leaking_turns, leaking_turns_currents),
         (300.0, 300.0, 0.3), 7e-4,
     ),
     "StatorShortCircuitContact": reference(

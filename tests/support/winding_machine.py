@@ -17,8 +17,10 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
+import fmuid
 from fmuid.array_types import Floats
 from fmuid.data import Angle, Observation
+from tests.support.paths import FMUS
 
 MACHINE = {"Rs": 9.3, "Rr": 4.1, "Lm": 0.41, "Lf": 0.071}
 STEP = 5e-4
@@ -155,3 +157,17 @@ def record(
     """Return a table of phase signals, not to be changed: voltages of the inverter, currents of lines a and b."""
     (frame,) = tables([excitation(count, seed)], [Condition(joint=joint, dead_time=dead_time)], noise, seed)
     return frame
+
+
+def leaking_stator(own: Sequence[float]) -> fmuid.Fault:
+    """Return shorted turns beside the machine, with this leakage of their own."""
+    machine, short = (FMUS / name / f"{name}.fmu" for name in ("InductionMachine", "StatorShortCircuitLeakage"))
+    connectors = {
+        name: [(f"{part}.{name}", 1.0, 0.0) for part in ("machine", "fault")] for name in ("Rs", "Lf", "uds", "uqs")
+    }
+    both = fmuid.System(components={"machine": machine, "fault": short}, connectors=connectors)
+    names = {name: f"machine.{name}" for name in ("Rr", "Lm", "w")}
+    names |= {name: f"machine.{name} + fault.{name}" for name in ("ids", "iqs")}
+    turns = {f"fault.eta_{p}": fmuid.Parameter(0.0, nominal=0.01, min=0.0) for p in "abc"}
+    nuisance = {"fault.own": own} if own else {}
+    return fmuid.Fault(both, turns, variable_map=names, inputs={"fault.theta": "theta"}, nuisance=nuisance)
