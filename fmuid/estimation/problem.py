@@ -166,7 +166,7 @@ class LeastSquares:
         """Return this problem with the simulation settings of a result."""
         return self
 
-    def directions(self, result: Any) -> tuple[Any, ...]:  # noqa: ARG002 - systems have
+    def directions(self, result: Any, sizes: Mapping[Any, float] | None = None) -> tuple[Any, ...]:  # noqa: ARG002 - systems have
         """Return the directions of model errors at a result; functions have none."""
         return ()
 

@@ -16,7 +16,7 @@ from fmuid.array_types import Floats
 from fmuid.estimation import LeastSquares, Result
 from fmuid.identification.line_directions import is_estimated, line_errors
 from fmuid.identification.linearized_record import Forcing, LinearizedRecord, both_ends
-from fmuid.identification.model_errors import CHANGING, Direction, ErrorKind
+from fmuid.identification.model_errors import CHANGING, Direction, ErrorKind, Sizes
 from fmuid.identification.output_directions import (
     SETTINGS,
     DirectionColumn,
@@ -29,11 +29,13 @@ from fmuid.identification.output_directions import (
 )
 from fmuid.simulation import AnySimulator, Simulator
 
+SECANTS = (ErrorKind.DELAY, ErrorKind.ADVANCE, ErrorKind.LAG, ErrorKind.CLOCK)
+
 
 def model_directions(
-    problem: LeastSquares, simulators: Sequence[AnySimulator], result: Result
+    problem: LeastSquares, simulators: Sequence[AnySimulator], result: Result, sizes: Sizes
 ) -> tuple[Direction, ...]:
-    """Return the directions of model errors at a result."""
+    """Return the directions of model errors at a result; errors in time are not linear in their sizes."""
     local = result.fit.linearization
     assert local is not None, "a result from a file has no linearization"
     theta, simulated = result.values, result.fit.simulated
@@ -45,7 +47,7 @@ def model_directions(
         columns = problem.parameters.for_experiment(index)[1]
         own = np.array([slopes[i][index] for i in columns])
         found_here = (
-            _columns(simulator, theta[columns], simulated[index], own, len(problem.experiments))
+            _columns(simulator, theta[columns], simulated[index], own, len(problem.experiments), sizes)
             if isinstance(simulator, Simulator)
             else row_columns(simulator, theta[columns], simulated[index], own)
         )
@@ -71,7 +73,7 @@ def model_directions(
 
 
 def _columns(
-    simulator: Simulator, theta: Floats, simulated: Floats, slopes: Floats, experiments: int
+    simulator: Simulator, theta: Floats, simulated: Floats, slopes: Floats, experiments: int, sizes: Sizes
 ) -> Iterator[DirectionColumn]:
     """Yield the directions over one experiment."""
     experiment = simulator.experiment
@@ -82,7 +84,7 @@ def _columns(
     record = LinearizedRecord.of(simulator.model_at(theta), theta)
     if record is None or not _agrees(simulator.seen(record.sensitivities, theta)[simulator.own], slopes[simulator.own]):
         return
-    yield from _of_slopes(record, simulator, theta, units)
+    yield from _of_slopes(record, simulator, theta, units, sizes)
     plain = simulator.observed is None
     forced = list(_of_inputs(record, simulated, units) if plain else _of_lines(record, simulator, simulated, units))
     forced += _of_parameters(record, simulator, units)
@@ -105,9 +107,9 @@ def _agrees(linearized: Floats, slopes: Floats) -> bool:
 
 
 def _of_slopes(
-    record: LinearizedRecord, simulator: Simulator, theta: Floats, units: Mapping[str, str]
+    record: LinearizedRecord, simulator: Simulator, theta: Floats, units: Mapping[str, str], sizes: Sizes
 ) -> Iterator[DirectionColumn]:
-    """Yield errors that follow the slopes of outputs: delays, lags, slow clocks (secants of half a sample), hysteresis.
+    """Yield errors that follow the slopes of outputs: delays, lags, slow clocks (secants), hysteresis.
 
     In samples, of all outputs and of each.
     """
@@ -115,24 +117,17 @@ def _of_slopes(
     if observed is not None:
         (values,) = np.where(observed.map.is_delay, 0.0, observed.quantities(theta[None]))
         middle, outputs = observed.between(middle, values), observed.seen(outputs, values)
-    late = 2.0 * (np.vstack([outputs[:1], middle]) - outputs)
-    early = 2.0 * (np.vstack([middle, outputs[-1:]]) - outputs)
     elapsed = (record.times - record.times[0]) / np.ptp(record.times)
-    moved = (
-        (ErrorKind.DELAY, late, True),
-        (ErrorKind.ADVANCE, early, True),  # slopes at a sample differ
-        (ErrorKind.LAG, _lagging(outputs, middle) - outputs, True),
-        (ErrorKind.CLOCK, 0.5 * (late - early) * elapsed[:, None], False),
-    )
     names = simulator.experiment.output_names
     parts = [(names, slice(None))] + (
         [((name,), slice(j, j + 1)) for j, name in enumerate(names)] if len(names) > 1 else []
     )
-    for kind, whole, one_sided in moved:
+    for kind in SECANTS:
         for subject, columns in parts:
             table = np.zeros(outputs.shape)
-            table[:, columns] = whole[:, columns]
-            yield DirectionColumn(kind, subject, "samples", SETTINGS.delay, table, one_sided)
+            size = sizes.get((kind, subject), math.nan)
+            table[:, columns] = _secant(kind, outputs[:, columns], middle[:, columns], elapsed, size)
+            yield DirectionColumn(kind, subject, "samples", SETTINGS.delay, table, kind is not ErrorKind.CLOCK)
     for j, (name, rises) in enumerate(zip(names, np.diff(outputs, axis=0, prepend=outputs[:1]).T, strict=True)):
         usual = SETTINGS.share * rms_of(outputs[:, j])
         if rises.any():
@@ -140,11 +135,39 @@ def _of_slopes(
             yield DirectionColumn(ErrorKind.HYSTERESIS, (name,), units[name], usual, against)
 
 
-def _lagging(outputs: Floats, middle: Floats) -> Floats:
-    """Return outputs (K, n_y) behind a first-order lag of a sample."""
+def _secant(kind: ErrorKind, outputs: Floats, middle: Floats, elapsed: Floats, size: float) -> Floats:
+    """Return the change of outputs (K, m) by an error in time, over its size in samples; NaN: the usual size."""
+    usual, clock = SETTINGS.delay, kind is ErrorKind.CLOCK
+    if not (size if not clock else abs(size)) > SETTINGS.least_delay * usual:
+        if clock:
+            moved = [_moved(outputs, middle, each * elapsed) for each in (usual, -usual)]
+            return np.asarray((moved[0] - moved[1]) / (2.0 * usual))
+        size = usual
+    if kind is ErrorKind.LAG:
+        return np.asarray((_lagging(outputs, middle, size) - outputs) / size)
+    signed = -size if kind is ErrorKind.ADVANCE else size
+    return np.asarray(
+        (_moved(outputs, middle, signed * (elapsed if clock else np.ones_like(elapsed))) - outputs) / size
+    )
+
+
+def _moved(outputs: Floats, middle: Floats, samples: Floats) -> Floats:
+    """Return outputs (K, m) late by samples (K,), by parabolas through both samples and the middle between them."""
+    places = np.clip(np.arange(len(outputs)) - samples, 0.0, len(outputs) - 1.0)
+    first = np.minimum(places.astype(int), len(middle) - 1)
+    x = (places - first)[:, None]
+    begin, end = outputs[first], outputs[first + 1]
+    return np.asarray(
+        (1.0 - x) * (1.0 - 2.0 * x) * begin + 4.0 * x * (1.0 - x) * middle[first] + x * (2.0 * x - 1.0) * end
+    )
+
+
+def _lagging(outputs: Floats, middle: Floats, samples: float) -> Floats:
+    """Return outputs (K, m) behind a first-order lag."""
     fine = np.zeros((2 * len(outputs) - 1, outputs.shape[1]))
     fine[::2], fine[1::2] = outputs - outputs[0], middle - outputs[0]
-    pole, mean = math.exp(-0.5), 2.0 * (1.0 - math.exp(-0.5))
+    pole = math.exp(-0.5 / samples)
+    mean = 2.0 * samples * (1.0 - pole)
     return np.asarray(lfilter([1.0 - mean, mean - pole], [1.0, -pole], fine, axis=0)[::2] + outputs[0])
 
 

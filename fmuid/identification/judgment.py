@@ -54,7 +54,9 @@ def judge(
     >>> fmuid.identification.judge(result, fmuid.assess(problem, result)).grade.value
     'passed'
     """
-    doubts = [*_of_search(result), *_of_identifiability(result), *_of_solver(result)]
+    errors = None if assessment is None else assessment.model_errors
+    tested = errors is not None and errors.covers_dynamics
+    doubts = [*_of_search(result, tested=tested), *_of_identifiability(result), *_of_solver(result)]
     freed = list(_of_delay(result))
     doubts += [Doubt(Reason.POOR_FIT, key, {"fit": fit}) for key, fit in (fits or {}).items() if fit < MIN_FIT]
     doubts += [Doubt(Reason.MISSING_ROWS, (name,), {"first": float(times[0])}) for name, times in (gaps or {}).items()]
@@ -68,25 +70,25 @@ def judge(
         for own in () if assessment.contributions is None else assessment.contributions.contradictions:
             if own.experiment != PRIOR:  # tested by itself
                 doubts.append(Doubt(Reason.EXPERIMENTS_CONFLICT, (own.experiment,), {"probability": own.probability}))
-        errors = assessment.model_errors
         if errors is not None:
             unexplained = tuple(each for each in errors.freed if not each.is_explained)
             doubts += _of_model_errors(errors, (*errors.errors, *unexplained))
             freed += _of_model_errors(errors, errors.freed)
         if assessment.residuals is not None:
-            doubts += _of_residuals(assessment.residuals, tested=errors is not None and errors.covers_dynamics)
+            doubts += _of_residuals(assessment.residuals, tested=tested)
         doubts += [] if assessment.prior_and_data is None else _of_prior(assessment.prior_and_data)
     return Verdict.of(doubts, freed)
 
 
-def _of_search(result: Result) -> Iterator[Doubt]:
+def _of_search(result: Result, *, tested: bool) -> Iterator[Doubt]:
+    """Yield doubts about the search; slow noise is a large residual, too, and none where the model was tested."""
     history = result.history
     if result.outcome is TerminationReason.INTERRUPTED:
         yield Doubt(Reason.INTERRUPTED)
     elif not result.converged and result.outcome is not TerminationReason.UNDETERMINED:
         yield Doubt(Reason.NOT_CONVERGED, (result.outcome.value,))
     kept = next((each for each in history.restarts if each.kept), None)
-    if kept is not None and kept.trouble in (SearchFailure.LARGE_RESIDUAL, SearchFailure.MODEL_ERROR):
+    if not tested and kept is not None and kept.trouble in (SearchFailure.LARGE_RESIDUAL, SearchFailure.MODEL_ERROR):
         yield Doubt(Reason.LARGE_RESIDUAL, (), {"ratio": kept.noise_ratio, "starts": float(len(history.restarts))})
     for other in history.optima[1:]:
         behind = other.criterion - history.optima[0].criterion

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import ClassVar
@@ -87,10 +88,14 @@ OUTPUT_DELAYS = frozenset({ErrorKind.DELAY, ErrorKind.ADVANCE, ErrorKind.LAG, Er
 DELAYS = (OUTPUT_DELAYS | {ErrorKind.INPUT_DELAY, ErrorKind.INPUT_ADVANCE}) - {ErrorKind.CLOCK}
 
 
-ACAUSAL = frozenset({ErrorKind.ADVANCE, ErrorKind.INPUT_ADVANCE})
-"""Effects before their causes: a clock, or a path that the model lacks."""
+UNSURE = frozenset({ErrorKind.ADVANCE, ErrorKind.INPUT_ADVANCE, ErrorKind.CLOCK})
+"""Errors of several causes: a path that the model lacks, or a wrong clock; lost samples are no slow clock."""
 RARE = frozenset({ErrorKind.LAG, ErrorKind.CLOCK, ErrorKind.ZERO_DRIFT, ErrorKind.NONLINEARITY, ErrorKind.HYSTERESIS})
 """Errors that are thought of where usual ones explain less."""
+
+
+Sizes = Mapping[tuple[ErrorKind, tuple[str, ...]], float]
+"""Sizes of errors by kind and subject."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,8 +229,8 @@ class ModelError:
 
     @property
     def is_explained(self) -> bool:
-        """True if its size is sure, and its name says a cause."""
-        return self.settled and not self.kinds & ACAUSAL
+        """True if its size is sure, and its name says the cause."""
+        return self.settled and not self.kinds & UNSURE
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ class DirectionSettings:
     """Usual sizes of errors, and numbers of their directions."""
 
     delay: float = 0.5  # samples: where in an interval a channel is read
+    least_delay: float = 0.1  # of it: smaller secants are differences of rounded outputs
     share: float = 0.01  # of an amplitude: gains, offsets, error voltages of ordinary sensors and inverters
     saturation: float = 0.1  # of a parameter at the largest amplitude
     drift: float = 0.05  # of a parameter over the record: 13 K of copper
@@ -57,7 +58,7 @@ def row_columns(simulator: AnySimulator, theta: Floats, simulated: Floats, slope
         yield from _of_responses(experiment, simulated)
         yield from fixed_columns(simulator, theta)
         return
-    yield from (each for each in sensor_columns(experiment, simulated, units) if each.kind is not ErrorKind.ZERO_DRIFT)
+    yield from sensor_columns(experiment, simulated, units)
     yield from fixed_columns(simulator, theta)
     for names, square in squares_by_unit(experiment.output_names, simulated, units):
         for name, value, slope in zip(simulator.parameters, theta, slopes, strict=True):
@@ -78,13 +79,13 @@ def _of_responses(experiment: FrequencyExperiment, simulated: Floats) -> Iterato
 def sensor_columns(experiment: Experiment, simulated: Floats, units: Mapping[str, str]) -> Iterator[DirectionColumn]:
     """Yield offset, its drift, gain, and gain by amplitude, of each output."""
     elapsed = experiment.times - experiment.times[0]
+    timed = experiment.kind == "time" and elapsed[-1] > 0.0
     for j, name in enumerate(experiment.output_names):
         usual, shape, own = SETTINGS.share * rms_of(simulated[:, j]), simulated.shape, simulated[:, j]
         yield DirectionColumn(ErrorKind.OFFSET, (name,), units[name], usual, only_in(shape, j, 1.0))
-        if elapsed[-1] > 0.0:
-            yield DirectionColumn(
-                ErrorKind.ZERO_DRIFT, (name,), units[name], usual, only_in(shape, j, elapsed / elapsed[-1])
-            )
+        if timed:
+            drift = only_in(shape, j, elapsed / elapsed[-1])
+            yield DirectionColumn(ErrorKind.ZERO_DRIFT, (name,), units[name], usual, drift)
         yield DirectionColumn(ErrorKind.GAIN, (name,), "", SETTINGS.share, only_in(shape, j, own))
         cubic = -own * (own / max(float(np.abs(own).max()), 1e-300)) ** 2
         yield DirectionColumn(ErrorKind.NONLINEARITY, (name,), "", SETTINGS.share, only_in(shape, j, cubic))

@@ -15,7 +15,7 @@ from fmuid.data import Experiment, JointPrior, Noise, Observation, Parameter, Pa
 from fmuid.errors import InputError, check_kind
 from fmuid.estimation import SENSITIVITIES, LeastSquares, Result, RunFields, UsedModel
 from fmuid.formatting import nearest
-from fmuid.identification.model_errors import Direction, ProcessNoise
+from fmuid.identification.model_errors import Direction, ProcessNoise, Sizes
 from fmuid.models import FMU, System
 from fmuid.simulation import (
     AS_ASKED,
@@ -225,12 +225,12 @@ class Problem(LeastSquares):
         found.update(b"" if self.levels.scale is None else self.levels.scale.tobytes())
         return found.digest()
 
-    def directions(self, result: Result) -> tuple[Direction, ...]:
-        """Return the directions of model errors at a result."""
+    def directions(self, result: Result, sizes: Sizes | None = None) -> tuple[Direction, ...]:
+        """Return the directions of model errors at a result; those in time are secants of their sizes."""
         from fmuid.identification.directions import model_directions
 
         own = self.as_in(result)
-        return () if self.corrected else model_directions(own, own.simulators, result)
+        return () if self.corrected else model_directions(own, own.simulators, result, sizes or {})
 
     def process_noise(self, result: Result) -> ProcessNoise | None:
         """Return the disturbance that explains the color of a result's residuals."""

@@ -30,6 +30,7 @@ from fmuid.identification.model_errors import (
     ModelError,
     ModelErrors,
     ProcessNoise,
+    Sizes,
 )
 from fmuid.identification.problem import Problem
 
@@ -104,11 +105,11 @@ class CorrectedProblem(LeastSquares):
         given = {**base.given_parameters, **sizes}
         super().__init__(predictors, base.experiments, given, noise=base.noise, joint_prior=base.joint_prior)
 
-    def directions(self, result: Result) -> tuple[Direction, ...]:
+    def directions(self, result: Result, sizes: Sizes | None = None) -> tuple[Direction, ...]:
         """Return the directions that are not freed."""
         base: LeastSquares = vars(self)["base"]
         taken = {each.key for each in vars(self)["freed"]}
-        found = base.directions(without_sizes(result, len(base.parameters)))
+        found = base.directions(without_sizes(result, len(base.parameters)), sizes)
         return tuple(each for each in found if each.key not in taken)
 
     def process_noise(self, result: Result) -> ProcessNoise | None:
@@ -204,15 +205,15 @@ def _extended(
     if not fits:
         return None
     likelihoods = _likelihoods(problem, [each[2] for each in fits])
-    likelihoods += [each[0][-1].test.log_odds for each in fits]
-    first = int(np.argmax(likelihoods))
+    odds = likelihoods + np.array([each[0][-1].test.log_odds for each in fits])
+    first = int(np.argmax(odds))
     errors, corrected, _ = fits[first]
     rough = [not all(error.settled for error in each[0]) for each in fits]  # their likelihoods say too little
-    behind = np.where(rough, 0.0, likelihoods.max() - likelihoods)
+    worse, behind = (np.where(rough, 0.0, each[first] - each) for each in (likelihoods, odds))
     weights = np.where(behind < SETTINGS.averaged, np.exp(-behind), 0.0)
     if any(rough):
         errors = [*errors[:-1], replace(errors[-1], settled=False)]
-    named = [each[0][-1].test.direction for k, each in enumerate(fits) if behind[k] < SETTINGS.named and k != first]
+    named = [each[0][-1].test.direction for k, each in enumerate(fits) if worse[k] < SETTINGS.named and k != first]
     delayed = [_delayed(each) if weight else each[2] for each, weight in zip(fits, weights.tolist(), strict=True)]
     again = _averaged(delayed, delayed[first], weights / weights.sum(), len(result.names))
     return errors, corrected, again, tuple(named)
@@ -264,21 +265,21 @@ def _fit(
     sizes = {error_name(each): _size(each) for each in errors}
     start = np.concatenate([result.values, [each.start for each in sizes.values()]])
     count, now, base = len(result.names), result, problem
-    simulated = np.zeros(len(errors))
+    simulated, keys = np.zeros(len(errors)), [each.test.direction.key for each in errors]
     for _ in range(SETTINGS.fits):
-        directions = {each.key: each for each in base.directions(now)}
-        if not all(each.test.direction.key in directions for each in errors):
+        directions = {each.key: each for each in base.directions(now, dict(zip(keys, start[count:], strict=True)))}
+        if not all(key in directions for key in keys):
             return None
-        chosen = [_in_share(directions[each.test.direction.key], each) for each in errors]
+        chosen = [_in_share(directions[key], each) for key, each in zip(keys, errors, strict=True)]
         corrected = CorrectedProblem(base, chosen, sizes, simulated)
         again = Marquardt().search(Evaluator(corrected), progress, start)
         if not again.converged or not np.isfinite(again.std).all():
             return None
         moved = float(np.max(np.abs(again.values - start) / again.std))
         start, now = again.values, without_sizes(again, count)
-        base, simulated = _simulating(problem, errors, start[count:])
         if moved < SETTINGS.settled:
             break
+        base, simulated = _simulating(problem, errors, start[count:])
     found = zip(errors, again.values[count:].tolist(), again.std[count:].tolist(), strict=True)
     sized = [replace(error, test=replace(error.test, size=size, std=std)) for error, size, std in found]
     return [replace(each, settled=moved < SETTINGS.rough) for each in sized], corrected, again
@@ -286,12 +287,12 @@ def _fit(
 
 def _simulating(problem: LeastSquares, errors: Sequence[ModelError], sizes: Floats) -> tuple[LeastSquares, Floats]:
     """Return a problem that simulates corrected fixed parameters, and their sizes (m,)."""
-    fixed = np.array([each.test.direction.kind is ErrorKind.FIXED for each in errors])
-    if not fixed.any() or not isinstance(problem, Problem):
+    directions = [each.test.direction for each in errors]
+    fixed = [each.kind is ErrorKind.FIXED for each in directions]
+    if not any(fixed) or not isinstance(problem, Problem):
         return problem, np.zeros(len(errors))
-    wrong = [each.test.direction for each in errors if each.test.direction.kind is ErrorKind.FIXED]
-    shares = zip(wrong, sizes[fixed].tolist(), strict=True)
-    values = {each.subject[0]: each.value * (1.0 + share) for each, share in shares}
+    corrected = {each.subject[0]: each.value * (1.0 + size) for each, size in zip(directions, sizes, strict=True)}
+    values = {name: value for name, value in corrected.items() if not math.isnan(value)}
     return problem.holding(values).finer(problem.refinement), np.where(fixed, sizes, 0.0)
 
 

@@ -120,7 +120,7 @@ DIRECTIONS: dict[tuple[ErrorKind, tuple[str, ...]], Callable[[Floats, float], Fl
     (ErrorKind.LAG, ("i",)): lambda u, h: lagging(u, h),
     (ErrorKind.CLOCK, ("i",)): lambda u, h: closed(u) + 0.5 * (slower(u, h) - slower(u, -h)),
 }
-SIZES = {ErrorKind.DELAY: 0.5, ErrorKind.CLOCK: 0.5, ErrorKind.LAG: 1.0}  # of secants
+SIZES = {ErrorKind.DELAY: 0.5, ErrorKind.CLOCK: 0.5, ErrorKind.LAG: 0.5}  # of secants
 
 
 def direction(rises: Floats) -> Floats:
