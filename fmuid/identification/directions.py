@@ -136,7 +136,10 @@ def _of_slopes(
 
 
 def _secant(kind: ErrorKind, outputs: Floats, middle: Floats, elapsed: Floats, size: float) -> Floats:
-    """Return the change of outputs (K, m) by an error in time, over its size in samples; NaN: the usual size."""
+    """Return the secant (K, m) of outputs by an error in time.
+
+    Its size is in samples; NaN: the usual size.
+    """
     usual, clock = SETTINGS.delay, kind is ErrorKind.CLOCK
     if not (size if not clock else abs(size)) > SETTINGS.least_delay * usual:
         if clock:
@@ -152,7 +155,10 @@ def _secant(kind: ErrorKind, outputs: Floats, middle: Floats, elapsed: Floats, s
 
 
 def _moved(outputs: Floats, middle: Floats, samples: Floats) -> Floats:
-    """Return outputs (K, m) late by samples (K,), by parabolas through both samples and the middle between them."""
+    """Return outputs (K, m) late by samples (K,).
+
+    Parabolas go through both samples and the middle between them.
+    """
     places = np.clip(np.arange(len(outputs)) - samples, 0.0, len(outputs) - 1.0)
     first = np.minimum(places.astype(int), len(middle) - 1)
     x = (places - first)[:, None]

@@ -81,7 +81,7 @@ def judge(
 
 
 def _of_search(result: Result, *, tested: bool) -> Iterator[Doubt]:
-    """Yield doubts about the search; slow noise is a large residual, too, and none where the model was tested."""
+    """Yield doubts about the search; colored noise makes a residual large, too: none where the model was tested."""
     history = result.history
     if result.outcome is TerminationReason.INTERRUPTED:
         yield Doubt(Reason.INTERRUPTED)
