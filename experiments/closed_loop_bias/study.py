@@ -13,6 +13,8 @@ identified as a whole, from its reference.
 from __future__ import annotations
 
 import time
+from collections import Counter
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -28,6 +30,7 @@ import fmuid
 from experiments import pages
 from experiments.pages import AMBER, BLUE, GREY, INK
 from fmuid.array_types import Floats
+from fmuid.identification import Assessment, assess, find_model_errors, judge, refit
 from fmuid.reports.render.matplotlib_renderer import WIDTH, style
 
 HERE = Path(__file__).parent
@@ -60,6 +63,7 @@ KINDS = {
 SHORT = ("open", "white", "closed", "whole")
 """Names of the kinds in the table."""
 DRAWS, SEED = 200, 1
+JUDGED = 20  # records of each kind and ratio
 
 
 # --- simulation and estimate ------------------------------------------------------------
@@ -111,8 +115,8 @@ def simulate(noise: Floats) -> pd.DataFrame:
     return frame[["time", "reference"]].assign(**dict(zip(outputs.values(), found.T, strict=True)))
 
 
-def estimate(record: pd.DataFrame, whole: bool) -> fmuid.Result:
-    """Identify R and L from voltage (held between samples) and measured current."""
+def problem(record: pd.DataFrame, whole: bool) -> fmuid.Problem:
+    """Return the identification of R and L from voltage (held between samples) and measured current."""
     inputs, outputs = {"u": "u"}, {"i": "measured"}
     if whole:
         inputs, outputs = {"controller.reference": "reference"}, {"sensor.measured": "measured"}
@@ -120,8 +124,12 @@ def estimate(record: pd.DataFrame, whole: bool) -> fmuid.Result:
     names = [f"coil.{name}" if whole else name for name in NAMES]
     parameters = {name: fmuid.Parameter(value) for name, value in zip(names, TRUTH.tolist(), strict=True)}
     model, values = (loop(), CONTROL) if whole else (coil(), None)
-    problem = fmuid.Problem(model, experiment, parameters, values=values, noise=fmuid.Noise(delay_std=0.0))
-    result = fmuid.identify(problem)
+    return fmuid.Problem(model, experiment, parameters, values=values, noise=fmuid.Noise(delay_std=0.0))
+
+
+def estimate(record: pd.DataFrame, whole: bool) -> fmuid.Result:
+    """Identify R and L."""
+    result = fmuid.identify(problem(record, whole))
     if not result.converged:
         raise RuntimeError(f"the search did not converge: {fmuid.Document.of(result)}")
     return result
@@ -134,15 +142,33 @@ def noise(rng: np.random.Generator, correlation: float) -> Floats:
     return np.asarray(lfilter([1.0], [1.0, -correlation], white))
 
 
-def draws(kind: Kind, ratio: float, rng: np.random.Generator, count: int) -> Floats:
-    """Return estimates of R and L from fresh noise (count, 2); the open loop replays the voltage without noise."""
+def records(kind: Kind, ratio: float, rng: np.random.Generator, count: int) -> Iterator[pd.DataFrame]:
+    """Yield records with fresh noise; the open loop replays the voltage without noise."""
     clean = simulate(np.zeros(SAMPLES))
     std = np.sqrt(np.mean(clean["i"] ** 2) / ratio)
-    found = np.empty((count, len(NAMES)))
-    for row in found:
+    for _ in range(count):
         added = std * noise(rng, kind.correlation)
-        record = simulate(added) if kind.closed else clean.assign(measured=clean["i"] + added)
-        row[:] = estimate(record, kind.whole).values
+        yield simulate(added) if kind.closed else clean.assign(measured=clean["i"] + added)
+
+
+def draws(kind: Kind, ratio: float, rng: np.random.Generator, count: int) -> Floats:
+    """Return estimates of R and L (count, 2)."""
+    return np.array([estimate(each, kind.whole).values for each in records(kind, ratio, rng, count)])
+
+
+def verdicts(kind: Kind, ratio: float, count: int = JUDGED) -> Counter[str]:
+    """Count the verdicts of some records: passed, or the gravest doubt."""
+    found = Counter[str]()
+    for record in records(kind, ratio, np.random.default_rng([SEED, 2]), count):
+        own = problem(record, kind.whole)
+        result = fmuid.identify(own)
+        tested = own.as_in(result)
+        errors = find_model_errors(tested, result)
+        again = refit(tested, result, errors) if errors is not None and errors.errors else None
+        base, last = (tested, result) if again is None else (again.problem, again.result)
+        known = Assessment(model_errors=errors if again is None else again.found)
+        verdict = judge(last, assess(base, last, earlier=known))
+        found[verdict.reasons[0].value if verdict.reasons else verdict.grade.value] += 1
     return found
 
 
@@ -233,6 +259,17 @@ def table(found: pd.DataFrame) -> str:
     return pages.table(["ratio", *(f"{name}, {kind}" for kind in SHORT for name in NAMES)], rows)
 
 
+def verdict_table() -> str:
+    """Return the verdicts as Markdown, a row a ratio."""
+    rows = []
+    for ratio in RATIOS[1:5]:
+        told = (verdicts(kind, ratio) for kind in KINDS.values())
+        rows.append(
+            [f"{ratio:g}", *(", ".join(f"{count} {name}" for name, count in each.most_common()) for each in told)]
+        )
+    return pages.table(["ratio", *SHORT], rows)
+
+
 def figure(found: pd.DataFrame) -> Figure:
     """Draw the bias against the signal-to-noise ratio: per cent above, in standard deviations of an estimate below."""
     with style():
@@ -276,7 +313,7 @@ def main() -> None:
     print(f"{count} simulations and identifications in {time.perf_counter() - began:.1f} s")
     pages.write(found, HERE / "bias.csv")
     pages.save(figure(found), HERE / "bias.png")
-    pages.rewrite(HERE, {"bias": table(found)})
+    pages.rewrite(HERE, {"bias": table(found), "verdicts": verdict_table()})
 
 
 if __name__ == "__main__":

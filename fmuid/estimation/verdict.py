@@ -29,6 +29,7 @@ class Reason(Enum):
     LARGE_RESIDUAL = "large_residual"  # beside the noise level of the data, from all starting points
     SOLVER_UNCHECKED = "solver_unchecked"
     SOLVER_ERROR = "solver_error"  # added to σ
+    FEEDBACK = "feedback"  # inputs follow the residual: a closed loop, or outputs ahead of them
     MODEL_ERROR = "model_error"  # named by a directed test
     DATA_DEFECT = "data_defect"  # of a recorded output
     EXPERIMENTS_CONFLICT = "experiments_conflict"  # estimates of one and of the others differ

@@ -19,7 +19,9 @@ from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
 from fmuid.estimation import LeastSquares, ResidualNoise, Result, augmented
 from fmuid.identification.acquisition_delay import DELAY_PRIOR, delay_columns
+from fmuid.identification.feedback import find_feedback
 from fmuid.identification.model_errors import (
+    AHEAD,
     LEVEL,
     DirectedTest,
     Direction,
@@ -62,6 +64,7 @@ class WhitenedRows:
         beside = np.hstack([self.prior, np.zeros((len(self.prior), len(directions)))])
         rows, first = np.vstack([whitened(noise, self.raw), beside]), 1 + len(result.names)
         self.residual, self.sensitivities, self.columns = rows[:, 0], rows[:, 1:first], rows[:, first:]
+        self.innovations = self.residual[: len(self.raw)]
 
 
 def is_colored(noise: ResidualNoise) -> bool:
@@ -228,7 +231,10 @@ def find_model_errors(problem: LeastSquares, result: Result) -> ModelErrors | No
         errors.append(ModelError(strongest, tuple(alternatives)))
         known.append(found.index(strongest))
         found = score_directions(rows, known)
-    return ModelErrors(result.names, tuple(first), tuple(errors))
+    feedback = find_feedback(problem, rows.innovations)
+    if feedback is not None and not (errors and errors[0].kinds & AHEAD):
+        errors = []
+    return ModelErrors(result.names, tuple(first), tuple(errors), feedback=feedback)
 
 
 def _is_alternative(test: DirectedTest, strongest: DirectedTest) -> bool:

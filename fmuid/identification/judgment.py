@@ -73,6 +73,7 @@ def judge(
         if errors is not None:
             unexplained = tuple(each for each in errors.freed if not each.is_explained)
             doubts += _of_model_errors(errors, (*errors.errors, *unexplained))
+            doubts += _of_feedback(errors)
             freed += _of_model_errors(errors, errors.freed)
         if assessment.residuals is not None:
             doubts += _of_residuals(assessment.residuals, tested=tested)
@@ -142,6 +143,11 @@ def _of_model_errors(found: ModelErrors, errors: Sequence[ModelError]) -> Iterat
         values = {"size": test.size, "std": test.std, "shift": shift * abs(test.size)}
         subject = (direction.kind.value, found.names[i], direction.unit, *direction.subject)
         yield Doubt(Reason.MODEL_ERROR, subject, {**values, "alternatives": float(len(each.alternatives))})
+
+
+def _of_feedback(found: ModelErrors) -> Iterator[Doubt]:
+    if (own := found.feedback) is not None:
+        yield Doubt(Reason.FEEDBACK, (own.input, own.experiment), {"probability": own.probability})
 
 
 def _of_residuals(found: ResidualAnalysis, *, tested: bool) -> Iterator[Doubt]:

@@ -88,6 +88,8 @@ OUTPUT_DELAYS = frozenset({ErrorKind.DELAY, ErrorKind.ADVANCE, ErrorKind.LAG, Er
 DELAYS = (OUTPUT_DELAYS | {ErrorKind.INPUT_DELAY, ErrorKind.INPUT_ADVANCE}) - {ErrorKind.CLOCK}
 
 
+AHEAD = frozenset({ErrorKind.ADVANCE, ErrorKind.INPUT_ADVANCE, ErrorKind.CLOCK, ErrorKind.INTERPOLATION})
+"""Outputs that run ahead of the inputs, as in a closed loop the residual does."""
 UNSURE = frozenset({ErrorKind.ADVANCE, ErrorKind.INPUT_ADVANCE, ErrorKind.CLOCK})
 """Errors of several causes: a path that the model lacks, or a wrong clock; lost samples are no slow clock."""
 RARE = frozenset({ErrorKind.LAG, ErrorKind.CLOCK, ErrorKind.ZERO_DRIFT, ErrorKind.NONLINEARITY, ErrorKind.HYSTERESIS})
@@ -249,6 +251,22 @@ class ProcessNoise:
     share: float
 
 
+@dataclass(frozen=True)
+class Feedback:
+    """An input that follows the residual.
+
+    Attributes
+    ----------
+    input, experiment : str
+    probability : float
+        By chance.
+    """
+
+    input: str
+    experiment: str
+    probability: float
+
+
 @dataclass(frozen=True, eq=False)
 class ModelErrors:
     """Directed tests of a result.
@@ -267,6 +285,8 @@ class ModelErrors:
         Errors that are parameters of the result; the tests are beside them.
     process_noise : ProcessNoise or None
         Disturbance that explains the color of the residuals.
+    feedback : Feedback or None
+        An input that follows the residual; then errors have no names.
     """
 
     names: tuple[str, ...]
@@ -275,6 +295,7 @@ class ModelErrors:
     level: float = LEVEL
     freed: tuple[ModelError, ...] = ()
     process_noise: ProcessNoise | None = None
+    feedback: Feedback | None = None
 
     @property
     def exposures(self) -> tuple[DirectedTest, ...]:

@@ -153,7 +153,8 @@ def _first(found: Estimates, count: int) -> Estimates:
 def refit(problem: LeastSquares, result: Result, found: ModelErrors, progress: Progress | None = None) -> Refit | None:
     """Identify again with the errors found as parameters.
 
-    None if that does not converge, or no size is significant beside the noise that is left.
+    None if that does not converge, or no size is significant beside the noise that is left. Where inputs follow that
+    noise, the result stays, and errors have no names.
 
     Parameters
     ----------
@@ -166,6 +167,13 @@ def refit(problem: LeastSquares, result: Result, found: ModelErrors, progress: P
     progress : callable, optional
         Called with every `fmuid.events.SearchStep`.
     """
+    again = _freed(problem, result, found, progress)
+    last = found if again is None or again.found is None else again.found
+    return again if last.feedback is None else Refit(problem, result, replace(found, errors=()))
+
+
+def _freed(problem: LeastSquares, result: Result, found: ModelErrors, progress: Progress | None) -> Refit | None:
+    """Return the result with errors freed one after the other."""
     count, now = len(result.names), found
     taken: Fitted | None = None
     while now.errors and (taken is None or len(taken[0]) < SETTINGS.most_errors):

@@ -15,6 +15,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.special import ndtr
+from scipy.stats import f as f_distribution
 
 import fmuid
 from fmuid import codec
@@ -30,6 +31,7 @@ from fmuid.identification.data_defects import (
     without_clipped,
 )
 from fmuid.identification.directed_tests import largest_scores, probability_of
+from fmuid.identification.feedback import find_feedback
 from fmuid.identification.final_covariance import include_uneven_noise
 from fmuid.identification.linearized_record import LinearizedRecord, exponentials
 from fmuid.simulation import Simulator
@@ -250,6 +252,57 @@ def test_nothing_is_tested_without_noise_or_with_a_robust_loss() -> None:
         {"a": fmuid.Parameter(2.0)},
     )
     assert find_model_errors(function, fmuid.identify(function)) is None
+
+
+# --- feedback
+
+
+def controlled(seed: int, gain: float) -> Problem:
+    """Return a record under a controller of the noisy current, exact from sample to sample; gain 0: its replay."""
+    rng = np.random.default_rng([35, seed])
+    wanted = 0.25 * held_voltage(rng) / 12.0
+    noise, decay = 0.02 * rng.standard_normal(COUNT), np.exp(-R / L * STEP)
+    i, u, integral = np.zeros((2, COUNT)), np.zeros((2, COUNT)), np.zeros(2)
+    for k in range(COUNT):  # beside it the loop without noise
+        error = wanted[k] - i[:, k] - [noise[k], 0.0]
+        integral += 0.2 * error
+        u[:, k] = 10.0 * error + integral
+        if k + 1 < COUNT:
+            i[:, k + 1] = decay * i[:, k] + (1.0 - decay) / R * u[:, k]
+    own = 0 if gain else 1
+    return problem_of(u[own], i[own] + noise)
+
+
+@pytest.mark.parametrize("gain", [10.0, 0.0])
+def test_inputs_that_follow_the_residual_are_a_doubt(gain: float) -> None:
+    """No error has a name there; the same record without feedback passes."""
+    problem = controlled(0, gain)
+    result = fmuid.identify(problem)
+    found = find_model_errors(problem, result)
+    assert found is not None and (found.feedback is not None) == bool(gain)
+    again = refit(problem, result, found) if found.errors else None
+    found = found if again is None else again.found
+    assert found is not None and not found.errors and not found.freed
+    verdict = judge(result, Assessment(model_errors=found))
+    assert verdict.reasons == ((Reason.FEEDBACK,) if gain else ())
+
+
+def test_feedback_is_an_f_test_of_two_regressions() -> None:
+    rng = np.random.default_rng(36)
+    u, e = rng.standard_normal((2, 300))
+    u[1:] += 0.4 * e[:-1]
+    times = STEP * np.arange(300.0)
+    frame = pd.DataFrame({"time": times, "u": u, "i": e})
+    problem = fmuid.Problem(
+        COIL, fmuid.Experiment(frame, ["u"], ["i"], interpolation="linear"), {"R": fmuid.Parameter(R)}
+    )
+    found = find_feedback(problem, e)
+    assert found is not None
+    past = np.array([[1.0, *u[k - 20 : k]] for k in range(20, 300)])
+    more = np.hstack([past, [e[k - 5 : k] for k in range(20, 300)]])
+    few, many = (float(np.linalg.lstsq(rows, u[20:], rcond=None)[1][0]) for rows in (past, more))
+    expected = f_distribution.sf((few - many) / 5 / (many / (280 - 26)), 5, 280 - 26)
+    assert found.probability == pytest.approx(expected, rel=1e-6)
 
 
 # --- refit
@@ -493,11 +546,13 @@ def test_a_step_is_found_where_all_values_are_its_multiples() -> None:
 @pytest.mark.campaign
 @pytest.mark.parametrize("scene", ["sound", "colored"])
 def test_false_alarms_of_all_tests_together(scene: str) -> None:
-    alarms = uneven = 0
+    alarms = uneven = follows = 0
     for seed in range(400):
         problem, result = identified.__wrapped__(scene, seed)
         found = find_model_errors(problem, result)
         alarms += bool(found is not None and found.errors)
         uneven += bool(find_data_defects(problem, result))
+        follows += found is not None and found.feedback is not None
     assert alarms <= 10  # 1 % of 400 by the exact binomial test at 0.1 %
     assert uneven <= 10
+    assert follows <= 4  # 0.1 %

@@ -48,6 +48,11 @@ class VerdictMessage(Message):
         "σ includes it",
         "Leave `interface`, `tolerance` and `solver_check` unset.",
     )
+    FEEDBACK = (
+        "{first} follows the residual",
+        "a closed loop, whose noise biases estimates, or outputs that run ahead of the inputs",
+        "Identify the loop from its reference, or check the clocks.",
+    )
     MODEL_ERROR = (
         "{error}",
         "a directed test names this model error",
