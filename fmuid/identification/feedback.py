@@ -33,7 +33,7 @@ SETTINGS = FeedbackSettings()
 
 
 def find_feedback(problem: LeastSquares, innovations: Floats) -> Feedback | None:
-    """Return the input that follows innovations (n,) of the residual most, or None."""
+    """Return the input that follows innovations (n,) most, or None."""
     found = [
         each
         for experiment, table in zip(problem.experiments, problem.tables(innovations), strict=True)
