@@ -333,6 +333,11 @@ class LeastSquares:
             found.append(table)
         return found
 
+    def noise_ratio(self, variance: Mapping[str, float]) -> float:
+        """Return the largest standard deviation of a residual over its `shown_noise`; NaN without one."""
+        ratios = np.sqrt([variance[name] for name in self.output_names]) / self.shown_noise
+        return float(np.nanmax(ratios)) if np.isfinite(ratios).any() else math.nan
+
     def squares(self, residual: Floats) -> Floats:
         """Return the sum of squares (n_outputs,) of a residual (n,)."""
         return np.bincount(self.groups, weights=residual**2, minlength=self.counts.size).astype(np.float64)

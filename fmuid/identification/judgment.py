@@ -14,6 +14,7 @@ from fmuid.identification.data_defects import DefectKind
 from fmuid.identification.model_errors import ModelError, ModelErrors
 from fmuid.identification.prior_and_data import PriorDataComparison
 from fmuid.identification.prior_data_tests import Deviation
+from fmuid.identification.residual_analysis import SETTINGS as RESIDUALS
 from fmuid.identification.residual_analysis import ResidualAnalysis, ResidualDefect
 from fmuid.identification.residual_series import InputCorrelation, ResidualSeries
 from fmuid.identification.solver_check import EQUAL_COST
@@ -152,6 +153,8 @@ def _of_feedback(found: ModelErrors) -> Iterator[Doubt]:
 
 def _of_residuals(found: ResidualAnalysis, *, tested: bool) -> Iterator[Doubt]:
     """Yield doubts about residuals; color alone is none where directed tests of the model found nothing in it."""
+    if tested and found.noise_ratio > RESIDUALS.noise_ratio:
+        yield Doubt(Reason.LARGE_RESIDUAL, (), {"ratio": found.noise_ratio})
     for each in (finding for finding in found.findings if finding.large):
         if tested and each.trait is ResidualDefect.COLORED:
             continue

@@ -34,6 +34,7 @@ class FindingLimits:
     more_likely: float = 0.5  # probability of a periodic error, ...
     least_returning: float = 0.01  # ... and its share of the variance; a little comes by chance
     long_memory: float = 0.2  # time constant of noise, relative to the recording
+    noise_ratio: float = 10.0  # standard deviation over noise level: more color than the noise of sensors has
 
 
 SETTINGS = FindingLimits()
@@ -167,6 +168,8 @@ class ResidualAnalysis:
     returning : tuple of PeriodicErrorFinding
         More likely there than not; σ allows for it.
     long_memory : tuple of LongMemory
+    noise_ratio : float
+        Largest standard deviation over the noise level of the data.
     """
 
     series: tuple[ResidualSeries, ...]
@@ -175,6 +178,7 @@ class ResidualAnalysis:
     slow: tuple[LowFrequencyNoiseFinding, ...] = ()
     returning: tuple[PeriodicErrorFinding, ...] = ()
     long_memory: tuple[LongMemory, ...] = ()
+    noise_ratio: float = math.nan
 
     json_layout: ClassVar = Layout(derived=("findings",))
 
@@ -251,4 +255,5 @@ def analyze_residuals(problem: LeastSquares, result: Result) -> ResidualAnalysis
                 shares[key] = min(shares.get(key, 0.0) + share, 1.0)
     returning = tuple(PeriodicErrorFinding(*key, share) for key, share in shares.items())
     slow, long = _slow(noise)
-    return ResidualAnalysis(tuple(series), widening, off_grid, slow, returning, long)
+    ratio = problem.noise_ratio(result.fit.noise_variance)
+    return ResidualAnalysis(tuple(series), widening, off_grid, slow, returning, long, ratio)

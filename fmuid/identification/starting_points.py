@@ -195,8 +195,7 @@ class _Restarts:
 
     def _end(self, remedy: StartingPointSource, result: Result) -> None:
         variances = [result.fit.noise_variance[name] for name in self.problem.output_names]
-        ratios = np.sqrt(variances) / self.problem.shown_noise
-        ratio = float(np.nanmax(ratios)) if np.isfinite(ratios).any() else math.nan
+        ratio = self.problem.noise_ratio(result.fit.noise_variance)
         trouble = SearchFailure.NONE
         if result.outcome in UNFINISHED:
             trouble = SearchFailure.UNFINISHED
