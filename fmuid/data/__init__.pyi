@@ -9,6 +9,7 @@ from .data_file import numeric_column as numeric_column
 from .data_file import read_data as read_data
 from .data_file import record_files as record_files
 from .data_file import tables_in as tables_in
+from .data_file import with_missing as with_missing
 from .experiment import Experiment as Experiment
 from .expressions import evaluate as evaluate
 from .far_values import COMMON_MARKS as COMMON_MARKS

@@ -40,6 +40,7 @@ _CENTURY = (946_684_800.0, 4_102_444_800.0)
 """Seconds from 1970 to the years 2000 and 2100."""
 _COLON = re.compile(r"(\d:\d{2}:\d{2}):(?=\d{1,6}$)")
 """A colon before parts of a second."""
+_DATED = re.compile(r"\d+[./-]\w+[./-]\d+.*:")
 _CLOCK = re.compile(r"(\d+ days )?\d{1,3}:\d{2}(:\d{2}([.,]\d+)?)?")
 _OFFSET = r"(?:Z|[+-]\d{2}:?\d{2})$"
 _HOUR, _DAY = 3600.0, 86_400.0
@@ -99,8 +100,7 @@ def with_time(
         raise InputError(f"{source}: time_unit {unit!r} is unknown. Use {', '.join(TIME_UNITS)}.")
     column = _column(raw, time, source)
     if column is None and raw.step is not None and sample_rate is None:
-        said = f"no time column; {raw.step:.6g} s between rows by the lines above the header"
-        return TimedTable(raw.frame.assign(**{name: raw.step * np.arange(len(raw.frame))}), notes={name: said})
+        return _by_the_lines_above(raw, name, raw.step, source)
     if column is None:
         raise InputError(f"{source}: {missing_column('time', str(time), raw.frame.columns, REMEDY)}")
     main = _clock(raw, column, unit, source)
@@ -130,6 +130,21 @@ def with_time(
     return TimedTable(frame, main.begin, notes=notes)
 
 
+def _by_the_lines_above(raw: RawTable, name: str, step: float, source: str) -> TimedTable:
+    """Return a table at the times said above the header."""
+    rows = len(raw.frame)
+    if raw.rows is not None and raw.rows != rows:
+        said = f"{rows} rows of samples, {raw.rows} by the lines above the header"
+        raise InputError(f"{source}: {said}. Write the whole file again, or set sample_rate.")
+    count = raw.frame.iloc[:, 0]
+    skips = np.flatnonzero(np.diff(count) != 1) if pd.api.types.is_integer_dtype(count.dtype) else np.zeros(0, int)
+    if 0 < skips.size < 0.1 * rows:
+        said = f"row numbers in column {str(count.name)!r} do not go on in row {skips[0] + 2}"
+        raise InputError(f"{source}: {said}. Write times into a column.")
+    said = f"no time column; {step:.6g} s between rows by the lines above the header"
+    return TimedTable(raw.frame.assign(**{name: step * np.arange(rows)}), notes={name: said})
+
+
 def _clock(raw: RawTable, column: str, unit: str | None, source: str, usual: str | None = None) -> _Clock:
     """Return a time column in s; `usual` is its unit where nothing says one."""
     values, begin = _as_numbers(raw.frame[column], column, source)
@@ -145,7 +160,8 @@ def _clock(raw: RawTable, column: str, unit: str | None, source: str, usual: str
         values, begin = _seconds(pd.to_datetime(values, unit="D", origin="1899-12-30").dt.round("us"))
     if said_unit is None and column in raw.days:
         raise InputError(f'{source}: column {column or "(no name)"!r} may be in days. Set time_unit = "d" or "s".')
-    factor = 1.0 if begin is not None else SECONDS[said_unit or usual or "s"]
+    numeric = pd.api.types.is_numeric_dtype(values.dtype)  # texts are refused by the reader, with their row
+    factor = SECONDS[said_unit or usual or "s"] if begin is None and numeric else 1.0
     return _Clock(column, values if factor == 1.0 else _scaled(values, factor), begin)
 
 
@@ -206,14 +222,19 @@ def _likely_clock(raw: RawTable, name: str, unit: str | None, usual: str | None,
     return clock if dated or timed or clock.begin is not None or regular else None
 
 
-def _are_times(values: Any, source: str) -> bool:
-    """Return whether an unnamed column holds dates or times, not row numbers."""
+def _of_time(unit: str) -> bool:
+    """Return whether a unit is a word for time."""
+    return unit.lower() in TIME_NAMES
+
+
+def _are_times(values: Any, source: str, mostly: float = 1.0) -> bool:
+    """Return whether an unnamed column holds dates or times, not row numbers; `mostly` is the share of increases."""
     try:
         numbers, begin = _as_numbers(values, "", source)
         steps = np.diff(np.asarray(numbers, dtype=np.float64))
     except (InputError, ValueError, TypeError):
         return False
-    return bool((steps > 0).all() and (begin is not None or (steps != 1).any()))
+    return bool(steps.size and (steps > 0).mean() >= mostly and (begin is not None or (steps != 1).any()))
 
 
 def _scaled(values: Any, factor: float) -> Any:
@@ -248,7 +269,8 @@ def _column(raw: RawTable, time: str | int, source: str) -> str | None:
     if time == "time":
         if raw.time is not None:
             return raw.time
-        timely = [name for name in names if raw.units.get(name) is None or time_unit(raw.units[name]) is not None]
+        units = {name: raw.units.get(name) for name in names}
+        timely = [each for each, unit in units.items() if unit is None or time_unit(unit) is not None or _of_time(unit)]
         for known in TIME_NAMES:
             near = [name for name in timely if _bare(name).lower() == known and name != "T"]
             if len(near) == 1:
@@ -260,7 +282,7 @@ def _column(raw: RawTable, time: str | int, source: str) -> str | None:
         likely = [name for name in timely if is_time_name(name) and _likely_clock(raw, name, None, None, source)]
         if likely:
             return likely[0]
-        if time_unit(raw.units.get(names[0], "")) is not None and _are_times(raw.frame[names[0]], source):
+        if time_unit(raw.units.get(names[0], "")) is not None and _are_times(raw.frame[names[0]], source, mostly=0.9):
             return names[0]
     return None
 
@@ -327,16 +349,19 @@ def _as_numbers(series: pd.Series[Any], column: str, source: str) -> tuple[Any, 
     texts = series.dropna().astype(str) if is_text else series[:0]
     if texts.empty:
         return series, None
-    if texts.map(lambda text: _CLOCK.fullmatch(text) is not None).all():
+    first = str(texts.iloc[0])  # of which alone the kind is found where texts are many
+    if _CLOCK.fullmatch(first) and texts.map(lambda text: _CLOCK.fullmatch(text) is not None).all():
         clock = texts.str.replace(",", ".").map(lambda text: f"{text}:00" if text.count(":") == 1 else text)
         seconds = pd.to_timedelta(clock).dt.total_seconds()
         if seconds.max() < _DAY:
             seconds += _DAY * (seconds.diff() < -_DAY / 2).cumsum()  # past midnight
         return (seconds - seconds.iloc[0]).reindex(series.index), None
-    cells = texts.map(_WITH_UNIT.fullmatch)
-    if cells.notna().all() and all(cell["unit"] in SECONDS for cell in cells):  # 0.01 sec
-        return cells.map(lambda cell: float(cell["number"]) * SECONDS[cell["unit"]]).reindex(series.index), None
-    dates = _dates(texts.str.replace(_COLON, r"\1.", regex=True), column, source)
+    if _WITH_UNIT.fullmatch(first):
+        cells = texts.map(_WITH_UNIT.fullmatch)
+        if cells.notna().all() and all(cell["unit"] in SECONDS for cell in cells):  # 0.01 sec
+            return cells.map(lambda cell: float(cell["number"]) * SECONDS[cell["unit"]]).reindex(series.index), None
+    texts = texts.str.replace(_COLON, r"\1.", regex=True) if _COLON.search(first) else texts
+    dates = _dates(texts, column, source)
     return (series, None) if dates is None else _seconds(dates.reindex(series.index))
 
 
@@ -360,10 +385,10 @@ def _dates(texts: pd.Series[Any], column: str, source: str) -> pd.Series[Any] | 
     with suppress(ValueError, TypeError):  # the other orders are tried below
         return pd.to_datetime(texts, format="ISO8601")
     with suppress(ValueError, TypeError):  # offsets that change where the clock is put forward or back
-        if texts.str.contains(_OFFSET, regex=True).all():
+        if re.search(_OFFSET, str(texts.iloc[0])) and texts.str.contains(_OFFSET, regex=True).all():
             in_utc = pd.to_datetime(texts, format="ISO8601", utc=True)
             return in_utc.dt.tz_convert(pd.Timestamp(texts.iloc[0]).tz)
-    if not texts.str.contains(r"\d+[./-]\w+[./-]\d+.*:", regex=True).all():
+    if not _DATED.search(str(texts.iloc[0])) or not texts.str.contains(_DATED).all():
         return None
     points = texts.str.replace(",", ".")
     dotted = re.match(r"\d{1,2}\.\d{1,2}\.", str(texts.iloc[0]))

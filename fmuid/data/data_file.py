@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -18,6 +16,7 @@ from fmuid.data.clock import TimedTable, time_name, with_time
 from fmuid.data.headers import OVERLOADS, RawTable, check_once, is_number, named, numbers_of
 from fmuid.data.readers import BINARY, WITH_SHEETS, read_binary
 from fmuid.data.readers.base import FileColumns
+from fmuid.data.readers.json_text import read_json
 from fmuid.data.readers.text import read_text
 from fmuid.data.several_clocks import CLOCKS
 from fmuid.errors import InputError
@@ -116,7 +115,7 @@ def read_data(
     if text:
         raw = read_text(path, source)
     elif suffix in JSON:
-        raw = _read_json(path, source)
+        raw = read_json(path, source)
     else:
         raw = _raw_table(read_binary(path, source, sheet), source)
     if len(raw.frame) == 0:
@@ -134,6 +133,13 @@ def read_data(
     frame.attrs |= {DECIDED: True} if missing is not None else {}
     frame.attrs |= {BEGIN: timed.begin} if timed.begin is not None else {}
     return frame
+
+
+def with_missing(frame: pd.DataFrame, missing: Sequence[float]) -> pd.DataFrame:
+    """Return a frame as `read_data` returns it with these marks."""
+    found = frame.apply(_without_marks, marks=tuple(missing))
+    found.attrs = {**frame.attrs, DECIDED: True}
+    return found
 
 
 def _without_marks(column: pd.Series[Any], marks: Sequence[str | float]) -> pd.Series[Any]:
@@ -154,37 +160,6 @@ def _without_marks(column: pd.Series[Any], marks: Sequence[str | float]) -> pd.S
             return kept
         return pd.Series(numbers_or_none, kept.dropna().index, dtype=np.float64).reindex(column.index)
     return column
-
-
-def _read_json(path: Path, source: str) -> RawTable:
-    try:
-        text = path.read_text("utf-8-sig")
-        frame = pd.read_json(io.StringIO(text), **_layout_of_json(text))
-    except Exception:  # pandas has no error of its own for it
-        raise InputError(f"{source}: not a readable JSON table. Write it again.") from None
-    dated = isinstance(frame.index, pd.DatetimeIndex)
-    if dated and "time" not in frame.columns:
-        frame = frame.rename_axis("time").reset_index()
-    names, units = named([str(column) for column in frame.columns])
-    return RawTable(frame.set_axis(names, axis="columns"), units, "time" if dated else None)
-
-
-def _layout_of_json(text: str) -> dict[str, Any]:
-    """Return what pandas need know of a JSON text."""
-    try:
-        content = json.loads(text)
-    except json.JSONDecodeError:
-        if not text.lstrip().startswith("{"):
-            raise
-        return {"lines": True}  # a row a line
-    if not isinstance(content, dict):
-        return {}
-    if {"columns", "data"} <= set(content):
-        return {"orient": "split"}
-    if {"schema", "data"} <= set(content):
-        return {"orient": "table"}
-    rows = all(isinstance(each, dict) for each in content.values()) and all(map(str.isdigit, content))
-    return {"orient": "index"} if rows and content else {}
 
 
 def _raw_table(found: FileColumns, source: str) -> RawTable:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import date, datetime, time, timedelta
 from typing import TYPE_CHECKING, Any
@@ -67,9 +67,10 @@ _RATE_KEYS = (
     "rate",
     "abtastrate",
 )
+_COUNT_KEYS = ("blocksize", "samples", "record length", "number of points", "number of samples")
 _NAME_KEYS = ("tracename", "trace name", "channel name", "signal name", "label", "source", "signal", "channel", "name")
 _UNIT_KEYS = ("vunit", "vertical units", "y_unit_label", "unit", "units", "einheit", "einheiten")
-"""First cells of the lines above a header that say time between samples, names and units."""
+"""First cells of the lines above a header that say time between samples, their number, names and units."""
 _HERTZ = {"": 1.0, "Hz": 1.0, "hz": 1.0, "kHz": 1e3, "MHz": 1e6, "Sa/s": 1.0, "S/s": 1.0, "kS/s": 1e3, "MS/s": 1e6}
 _WITH_TIME_UNIT = re.compile(r"(?P<number>[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?)\s*(?P<unit>[^\W\d]*(/s)?)", re.ASCII)
 _NO_NAME = re.compile(r"[\d:./\s-]*")
@@ -85,7 +86,7 @@ class RawTable:
 
     `units` are as written, `time` is the format's own time column, `days` are columns that may be pandas durations.
     `clocks` are the time columns of columns, where the format says them; `left_out` names what was not read, and why.
-    `step` is the time between samples, s, where the lines above the header say it.
+    `step` is the time between samples, s, and `rows` their number, where the lines above the header say them.
     """
 
     frame: pd.DataFrame
@@ -95,16 +96,18 @@ class RawTable:
     clocks: dict[str, str] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
     step: float | None = None
+    rows: int | None = None
 
 
 @dataclass(frozen=True)
 class TableHeader:
-    """Header cells, unit cells and the first row of samples; time between samples, s, if said above."""
+    """Header cells, unit cells and the first row of samples; time between samples, s, and their number."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
     first: int
     step: float | None = None
+    rows: int | None = None
 
 
 def split_header(header: str) -> tuple[str, str | None]:
@@ -205,25 +208,60 @@ def find_head(rows: Sequence[Sequence[Cell]], decimal: str = ".") -> TableHeader
     step = _step_said(rows[:first])
     for k in range(above + 2, first):
         if _are_units(rows[k]):
-            return TableHeader(_texts(rows[k - 1]), _texts(rows[k]), first, step)
+            return TableHeader(_texts(rows[k - 1]), _texts(rows[k]), first, step, _rows_said(rows[:first]))
     names = _texts(rows[header])
     alike = [_texts(row) for row in rows[:header] if len(row) == len(names)]
     if alike and _are_units(rows[header]) and all(names[1:]):  # names are numbers of channels
-        return TableHeader(alike[-1], names, first, step)
+        return TableHeader(alike[-1], names, first, step, _rows_said(rows[:first]))
     said = {each[0].lower(): each for each in reversed(alike)}
     if all(_NO_NAME.fullmatch(name) for name in names[1:]):
         names = next((said[key] for key in _NAME_KEYS if key in said), names)
-    below = next((said[key] for key in _UNIT_KEYS if key in said), ())
-    known = all(unit == "" or is_unit(unit) for unit in below[1:])
-    return TableHeader(names, ("", *below[1:]) if below and known else (), first, step)
+    return TableHeader(names, _units_said(rows[:header], names), first, step, _rows_said(rows[:first]))
+
+
+def _units_said(rows: Sequence[Sequence[Cell]], names: Sequence[str]) -> tuple[str, ...]:
+    """Return the units said above the header; of another length than `names` if they do not fit."""
+    for row in rows:
+        key, *units = [*_texts(row), ""]
+        while units and not units[-1]:
+            units.pop()
+        known = sum(is_unit(unit) for unit in units if unit)
+        if key.lower() not in _UNIT_KEYS or known == 0:
+            continue
+        places = [k for k, name in enumerate(names) if k and not is_time_name(name)]
+        places = places if len(units) == len(places) else [*range(1, len(names))]
+        if len(units) == len(places) or len(units) < len(names) <= len(row):
+            said = dict(zip(places, units, strict=False))
+            return tuple(said.get(k, "") for k in range(len(names)))
+        if known > 1:
+            return "", *units
+    return ()
+
+
+def check_units(head: TableHeader, source: str) -> None:
+    """Refuse units above the header that are no unit per column."""
+    if head.units and len(head.units) != len(head.names):
+        said = f"{len(head.units) - 1} units above the header, {len(head.names)} columns"
+        raise InputError(f"{source}: {said}. Give each column one unit.")
+
+
+def _said(rows: Sequence[Sequence[Cell]]) -> Iterator[tuple[str, str]]:
+    """Yield what lines above a header say: ``Sample Interval,0.01``, ``Sample rate: 100``."""
+    for row in rows:
+        first, *others = re.split(r"\s*[:=]\s*", str(row[0]), maxsplit=1) if row else [""]
+        key = first.strip().strip('"').lower().replace("_", " ")
+        yield key, str([*others, *row[1:], ""][0]).strip()
+
+
+def _rows_said(rows: Sequence[Sequence[Cell]]) -> int | None:
+    """Return the number of samples that lines above the header say."""
+    said = dict(_said(rows))
+    return next((int(said[key]) for key in _COUNT_KEYS if said.get(key, "").isdecimal()), None)
 
 
 def _step_said(rows: Sequence[Sequence[Cell]]) -> float | None:
     """Return the time between samples that lines above the header say, s."""
-    for row in rows:
-        first, *others = re.split(r"\s*[:=]\s*", str(row[0]), maxsplit=1) if row else [""]
-        key = first.strip().strip('"').lower().replace("_", " ")
-        text = str([*others, *row[1:], ""][0]).strip()
+    for key, text in _said(rows):
         found = _WITH_TIME_UNIT.fullmatch(text)
         if found is None or key not in (*_STEP_KEYS, *_RATE_KEYS):
             continue

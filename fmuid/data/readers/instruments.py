@@ -11,28 +11,33 @@ from fmuid.errors import InputError
 _TABLE = re.compile(r"(?:double|float)\s+(?P<name>[\w.]+)\s*\(\s*(?P<rows>\d+)\s*,\s*(?P<columns>\d+)\s*\)(?P<rest>.*)")
 
 
-def _one_channel(lines: Sequence[str], _source: str) -> Iterator[str]:
+def _one_channel(lines: Sequence[str], source: str) -> Iterator[str]:
     """Yield Tektronix TDS: settings in the first two columns, times and samples in the next."""
-    rows = list(csv.reader(lines))
-    said = {row[0].strip().lower(): row[1].strip() for row in rows if row and row[0].strip()}
-    yield f"time [{said.get('horizontal units', 's')}],{said.get('source', 'CH1')} [{said.get('vertical units', '')}]"
-    yield from (",".join(row[3:5]) for row in rows if len(row) >= 5)
+    rows = [row for row in csv.reader(lines) if any(cell.strip() for cell in row)]
+    said = {row[0].strip().lower(): row[1].strip() for row in rows if row[0].strip()}
+    yield f"time [{said.get('horizontal units') or 's'}],{said.get('source', 'CH1')} [{said.get('vertical units', '')}]"
+    samples = [row[3:5] for row in rows]
+    _check_count(len(samples), said.get("record length", ""), source)
+    yield from map(",".join, samples)
 
 
-def _numbered(lines: Sequence[str], _source: str) -> Iterator[str]:
+def _numbered(lines: Sequence[str], source: str) -> Iterator[str]:
     """Yield Rigol: row numbers in place of times, start and increment in the header."""
     names, units, *rows = csv.reader(line for line in lines if line.strip())
     place = names.index("Start")
     start, step = float(units[place]), float(units[place + 1])
     heads = (f"{name} [{unit}]" for name, unit in zip(names[1:place], units[1:place], strict=True))
     yield ",".join(("time [s]", *heads))
-    yield from (",".join((repr(start + step * float(row[0])), *row[1:place])) for row in rows)
+    for k, row in enumerate(rows, start=1):
+        if len(row) < place or any(cell.strip() for cell in row[place:]) or len(row) != len(rows[0]):
+            raise InputError(f"{source}: {len(row)} cells in row {k} of samples. Leave missing cells empty.")
+        yield ",".join((repr(start + step * float(row[0])), *row[1:place]))
 
 
 def _modelica(lines: Sequence[str], source: str) -> Iterator[str]:
     """Yield a table of Modelica's CombiTimeTable: times first, names perhaps in a comment."""
     found = [(k, head) for k, line in enumerate(lines) if (head := _TABLE.match(line.strip()))]
-    if len(found) != 1:
+    if len(found) > 1:
         raise InputError(f"{source}: {len(found)} Modelica tables. Keep one of them in a file.")
     ((place, head),) = found
     comments = [head["rest"], *(line for line in lines[1:place][::-1])]
@@ -41,7 +46,16 @@ def _modelica(lines: Sequence[str], source: str) -> Iterator[str]:
     yield " ".join(
         next((each for each in names if len(each) == count), ["time", *map("c{}".format, range(2, count + 1))])
     )
-    yield from (line.partition("#")[0].replace(",", " ").replace(";", " ") for line in lines[place + 1 :])
+    rows = [line.partition("#")[0].replace(",", " ").replace(";", " ") for line in lines[place + 1 :]]
+    _check_count(sum(len(row.split()) for row in rows) // max(count, 1), head["rows"], source)
+    yield from rows
+
+
+def _check_count(found: int, said: str, source: str) -> None:
+    """Refuse a table with fewer rows than its head says."""
+    count = float(said or found)
+    if found < count:
+        raise InputError(f"{source}: {found} rows of samples in place of {count:g}. Write the whole file again.")
 
 
 _LAYOUTS: tuple[tuple[re.Pattern[str], Callable[[Sequence[str], str], Iterator[str]]], ...] = (

@@ -7,7 +7,7 @@ import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from fmuid.data.headers import Cell, TableHeader, find_head, is_missing
+from fmuid.data.headers import Cell, TableHeader, check_units, find_head, is_missing
 from fmuid.data.readers.base import FileColumns, array_of_cells, chosen, library
 from fmuid.errors import InputError
 from fmuid.units import SECONDS
@@ -25,6 +25,7 @@ def read_spreadsheet(path: Path, source: str, sheet: str | int | None) -> FileCo
         rows = [[row[k] for k in columns] for row in filled]
         head = find_head(rows)
         if head is not None:
+            check_units(head, source)
             return _columns(rows, head, path)
     which = "no sheet holds" if sheet is None else f"the sheet {sheet!r} does not hold"
     raise InputError(f"{source}: {which} a table. Give a header with names, and rows of samples.")

@@ -26,6 +26,7 @@ from fmuid.data.headers import (
     RawTable,
     TableHeader,
     check_once,
+    check_units,
     find_head,
     is_missing,
     is_number,
@@ -47,6 +48,9 @@ _SPREADSHEET = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
 _OF_MACS = re.compile(r"(^|/)(__MACOSX/|\.)")
 """Entries that a Mac adds to archives."""
 _COMMENT = ("#", "%", "//")
+_TOO_MANY = re.compile(r"in line (?P<row>\d+), saw (?P<cells>\d+)")
+_OPEN_QUOTE = re.compile(r"inside string starting at row (?P<row>\d+)")
+"""What pandas' parser says."""
 _COMMENTS = "Comment"
 """Last header of LabVIEW, above cells that are often left out."""
 
@@ -79,7 +83,7 @@ def read_text(path: Path, source: str) -> RawTable:
             if rewrite is not None:
                 with again() as file:
                     lines = file.read().decode("utf-8-sig").splitlines()
-                again = partial(io.BytesIO, "\n".join(rewrite(lines, source)).encode())
+                again = partial(io.BytesIO, _as_table(rewrite, lines, source))
             with again() as file:
                 first = file.read(_LOOKED_AT)
             shown = codecs.getincrementaldecoder("utf-8-sig")().decode(first, final=len(first) < _LOOKED_AT)
@@ -89,8 +93,16 @@ def read_text(path: Path, source: str) -> RawTable:
             frame = _samples(_without_end(again, layout), source, layout, names)
             if layout.head.step is not None:  # it may stand for an empty column of times
                 frame = frame.loc[:, frame.notna().any()]
-            return RawTable(frame, said, step=layout.head.step)
+            return RawTable(frame, said, step=layout.head.step, rows=layout.head.rows)
     raise InputError(f"{source}: not text in UTF-8, UTF-16 or cp1252. Save it as UTF-8.")
+
+
+def _as_table(rewrite: Callable[[Sequence[str], str], Iterator[str]], lines: Sequence[str], source: str) -> bytes:
+    """Return the text of an instrument as a plain table."""
+    try:
+        return "\n".join(rewrite(lines, source)).encode()
+    except (ValueError, IndexError, csv.Error):
+        raise InputError(f"{source}: damaged text of an instrument. Save it again, or as a plain table.") from None
 
 
 def _as_utf8(opened: Callable[[], IO[bytes]], encoding: str, text: str) -> Callable[[], IO[bytes]]:
@@ -194,7 +206,9 @@ def _layout(source: str, text: str) -> _Layout:
             if columns > most:
                 width = len(head.names) + blank
                 most, best = columns, _Layout(separator, decimal, head, read[head.first - 1][0], width)
-    return best or _as_it_is(source, text)
+    best = best or _as_it_is(source, text)
+    check_units(best.head, source)
+    return best
 
 
 def _without_blank_ends(rows: list[list[str]]) -> tuple[list[list[str]], int]:
@@ -265,18 +279,27 @@ def _samples(opened: Callable[[], IO[bytes]], source: str, layout: _Layout, name
     except pd.errors.EmptyDataError:  # a header alone; how few rows there are is said by who needs them
         return pd.DataFrame({name: [] for name in names})
     except (csv.Error, pd.errors.ParserError) as error:
-        said = f"no table ({str(error).strip()})"
-        raise InputError(f"{source}: {said}. Give all rows as many cells as the header.") from None
+        raise InputError(f"{source}: {_of_parser(str(error), layout.width)}") from None
     if not any(map(pd.api.types.is_numeric_dtype, frame.dtypes)):  # parts put together, each with the header
         frame = frame[~(frame == list(layout.head.names)).all(axis="columns")].reset_index(drop=True)
-    frame = frame.apply(_as_numbers, decimal=layout.decimal)
+    frame = frame.apply(as_numbers, decimal=layout.decimal)
     if frame[names[-1]].hasnans:  # as it is, too, where a row ends early
         with io.TextIOWrapper(opened(), "utf-8-sig", newline="") as text:
             _check_rows((row for _, row in _rows(text, layout.separator)), source, layout.width, layout.head.first)
     return frame
 
 
-def _as_numbers(column: pd.Series[Any], decimal: str) -> pd.Series[Any]:
+def _of_parser(error: str, width: int) -> str:
+    """Return what pandas' parser found, in our words."""
+    if found := _TOO_MANY.search(error):
+        said = f"{width} names in the header, {_cells(int(found['cells']))} in row {found['row']}"
+        return f"{said}. Give all rows as many cells as the header."
+    if found := _OPEN_QUOTE.search(error):
+        return f"a quotation mark in row {int(found['row']) + 1} is not closed. Close or remove it."
+    return "no table. Give all rows as many cells as the header."
+
+
+def as_numbers(column: pd.Series[Any], decimal: str) -> pd.Series[Any]:
     """Return a numeric column, NaN where marked as missing; else unchanged."""
     if pd.api.types.is_numeric_dtype(column.dtype) or not all(isinstance(cell, str) for cell in column.dropna()):
         return column

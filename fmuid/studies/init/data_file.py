@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmuid.data import CLOCKS, COMMON_MARKS, LEFT_OUT, dropouts, far_values, read_data, time_name
+from fmuid.data import CLOCKS, COMMON_MARKS, LEFT_OUT, dropouts, far_values, read_data, time_name, with_missing
 from fmuid.errors import InputError
 from fmuid.studies.init.column_matching import ColumnMatch, guess
 from fmuid.units import unit_in_name
@@ -64,8 +64,7 @@ class MatchedDataFile:
         if not marks:
             return cls(path, asked, description, frame)
         missing = tuple(sorted({value for own in marks.values() for value in own}))
-        asked = replace(asked, missing=missing)
-        return cls(path, asked, description, read_data(path, asked.time, missing=missing, **how), marks)
+        return cls(path, replace(asked, missing=missing), description, with_missing(frame, missing), marks)
 
     def with_columns(self, columns: Mapping[str, str]) -> MatchedDataFile:
         """Return the same with more known columns."""
