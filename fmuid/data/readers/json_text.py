@@ -12,9 +12,6 @@ from fmuid.data.headers import RawTable, check_once, named
 from fmuid.data.readers.text import as_numbers
 from fmuid.errors import InputError
 
-_MAX_DIGITS = 19
-"""Integers with more digits become floating-point numbers."""
-
 
 def read_json(path: Path, source: str) -> RawTable:
     """Read a table; an index of times becomes a column."""
@@ -38,7 +35,8 @@ def _content(text: str) -> Any:
 
 
 def _integer(digits: str) -> float:
-    return int(digits) if len(digits) < _MAX_DIGITS or abs(int(digits[:40])) < 2**63 else float(digits)
+    """Return an integer of 64 bits, larger ones as floating-point numbers."""
+    return int(digits) if abs(float(digits)) < 2.0**63 else float(digits)
 
 
 def _frame(content: Any) -> pd.DataFrame:
