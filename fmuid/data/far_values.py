@@ -15,7 +15,9 @@ class FarValueSettings:
     """Numbers of the decision."""
 
     beyond: float = 1e4  # times the size of the rest: no measured value
-    mark_beyond: float = 10.0  # times the same, for marks that loggers write
+    mark_beyond: float = 10.0  # times the same, for marks that loggers write among whole numbers
+    mark_apart: float = 0.2  # times the same, for marks written twice among fractions: clipped samples have neighbours
+    mark_alone: float = 2.0  # times the same, for a mark written once among fractions
     share: float = 0.2  # of the samples that may be marks
 
 
@@ -52,7 +54,9 @@ def far_values(values: Floats) -> dict[float, int]:
         if others.size < 2 or same.mean() > SETTINGS.share:
             continue
         size = max(float(np.ptp(others)), 0.1 * float(np.abs(others).max()))
-        if np.abs(others - mark).min() > SETTINGS.mark_beyond * size > 0:
+        whole = float((others == np.round(others)).mean()) > 0.5
+        fractions = SETTINGS.mark_apart if same.sum() > 1 else SETTINGS.mark_alone
+        if np.abs(others - mark).min() > (SETTINGS.mark_beyond if whole else fractions) * size > 0:
             marks[mark] = int(same.sum())
     return marks
 

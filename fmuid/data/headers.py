@@ -319,7 +319,10 @@ def _are_units(row: Sequence[Cell]) -> bool:
     there = [text for text in texts if text not in ("", "-")]
     known = [text for text in there if is_unit(text) or time_unit(text) is not None]
     timed = len(there) > 2 and any(text in SECONDS for text in there) and 2 * len(known) > len(there)
-    return bool(there) and (len(known) == len(there) or (timed and all(len(text) <= _UNIT_LENGTH for text in there)))
+    alike = bool(known) and all(text in known or _like_unit(text) for text in there)
+    return bool(there) and (
+        len(known) == len(there) or alike or (timed and all(len(text) <= _UNIT_LENGTH for text in there))
+    )
 
 
 def _texts(row: Sequence[Cell]) -> tuple[str, ...]:

@@ -107,7 +107,7 @@ def _as_table(rewrite: Callable[[Sequence[str], str], Iterator[str]], lines: Seq
 
 def _as_utf8(opened: Callable[[], IO[bytes]], encoding: str, text: str) -> Callable[[], IO[bytes]]:
     """Return an opener of UTF-8 with line feeds."""
-    bare = "\r" in text and "\n" not in text
+    bare = "\r\n" not in text and text.count("\r") > text.count("\n")  # line feeds may be in quoted headers
     if encoding == "utf-8-sig" and not bare:
         return opened
     with opened() as file:
