@@ -50,7 +50,7 @@ _WITH_UNIT = re.compile(
 )
 _AFTER_WORD = re.compile(r"(?P<name>.*\S)(?:,? in | ?/ |, )(?P<unit>\S.*)")
 _ALTERED = re.compile(
-    r"[kmµun]?(V|A|W|Hz|Nm|N|Pa|bar)(_?(eff|rms|RMS|pk|pp|ac|dc|AC|DC|avg|peak|mean|p-p|x?\d+))", re.ASCII
+    r"[kmµun]?(V|A|W|Hz|Nm|N|Pa|bar)([_ ]?(eff|rms|RMS|pk|pp|ac|dc|AC|DC|avg|peak|mean|p-p|x?\d+))", re.ASCII
 )
 """Units with an addition that changes their meaning."""
 _UNIT_LENGTH = 12
@@ -132,9 +132,7 @@ def split_header(header: str) -> tuple[str, str | None]:
 
 def _like_unit(text: str) -> bool:
     """Return whether an unknown text is written as units are: ``Aeff``, ``A*10``."""
-    if len(text) > _UNIT_LENGTH or " " in text:
-        return False
-    marked = re.search(r"[/*·^%°²³⁻¹Ωµμ]", text) is not None
+    marked = re.search(r"[/*·^%°²³⁻¹Ωµμ]", text) is not None and " " not in text and len(text) <= _UNIT_LENGTH
     return marked or _ALTERED.fullmatch(text) is not None
 
 

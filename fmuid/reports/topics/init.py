@@ -32,6 +32,13 @@ class InitMessage(Message, section="columns"):
     NO_OUTPUTS = doubt(
         "{file}: the FMU declares no outputs, and no column has a variable's name.", remedy="Add --map VARIABLE=COLUMN."
     )
+    UNIT = doubt(
+        "{file}: unit {unit!r} of {column!r} does not convert to {wanted!r}.",
+        remedy=(
+            "Add --unit {name}={wanted} for numbers in {wanted}, "
+            '"--unit={name}=pu of 10 {wanted}" for multiples of 10 {wanted}.'
+        ),
+    )
     MISSING = doubt("{file}: {count} of {rows} samples of {column!r} are missing.")
     HELD = doubt(
         "{file}: zero-order hold assumed for {names}.", remedy='Set interpolation = "linear" for measured inputs.'
@@ -107,6 +114,9 @@ def remarks(record: MatchedDataFile) -> list[Remark]:
             say(message, names=", ".join(lacking), first=lacking[0])
     if not record.roles("output") and not record.lacking("output"):
         say(InitMessage.NO_OUTPUTS)
+    for link in record.foreign_units:
+        unit = record.asked.units.get(link.variable, link.column_unit)
+        say(InitMessage.UNIT, unit=unit, column=link.column, name=link.variable, wanted=link.unit or "1")
     rows = 0 if record.experiment is None else record.experiment.times.size
     for column, count in record.missing.items():
         say(InitMessage.MISSING, column=column, count=count, rows=rows)
@@ -157,5 +167,8 @@ def draft_document(made: Draft, output: Path) -> Document:
     section = Section("parameters", "Effect of the parameters (% of the outputs' spread)", table=table if rows else ())
     said = [*map(time_remark, found.doubts), *(size_remark(*each) for each in found.sizes)]
     said += [InitMessage.NO_SURVEY.said("", failure=found.failure)] if found.failure else []
-    text = f"fmuid identify {output}" if made.runs else "list the parameters to identify under [parameters]."
+    text = "list the parameters to identify under [parameters]."
+    if not all(record.is_ready for record in made.records):
+        text = "follow the remedies (→), and run fmuid init again."
+    text = f"fmuid identify {output}" if made.runs else text
     return Document("draft", "Written", f"{output}. Next: {text}", "plain", tuple(said), (section,))

@@ -25,7 +25,7 @@ class StudyMessage(Message):
     TOO_LONG = doubt(
         "{data}: time unit looks wrong ({duration} s long, model settles in {constant} s).",
         "probably milliseconds taken for seconds, or a wrong model",
-        'Set `time_unit`, for example "ms".',
+        'Set `time_unit`: "ms" for milliseconds, "s" if the model counts in the unit of the file.',
     )
     TOO_SHORT = doubt(
         "{data}: time unit looks wrong ({duration} s long, model needs {constant} s).",

@@ -87,6 +87,20 @@ class MatchedDataFile:
         units = in_names | self.frame.attrs.get("units", {})
         return guess(self.description, self.columns, units, self.asked.columns)
 
+    @cached_property
+    def foreign_units(self) -> tuple[ColumnMatch, ...]:
+        """Matches whose units do not convert."""
+        return tuple(link for link in self.links if not self._converts(link))
+
+    def _converts(self, link: ColumnMatch) -> bool:
+        unit = self.asked.units.get(link.variable, link.column_unit)
+        if link.column is None or not unit:
+            return True
+        try:
+            return bool(self.description.conversion(self.description.variables[link.variable], unit))
+        except InputError:
+            return False
+
     def roles(self, role: str) -> dict[str, str]:
         """Return variables and columns of one role."""
         return {link.variable: link.column for link in self.links if link.role == role and link.column is not None}
@@ -139,6 +153,11 @@ class MatchedDataFile:
     def experiment(self) -> Experiment | None:
         """Experiment, None if it is refused."""
         return self._made[0]
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether it can be simulated."""
+        return self.experiment is not None and not self.lacking("input") and not self.foreign_units
 
     @property
     def refusal(self) -> str:

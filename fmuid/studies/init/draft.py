@@ -96,7 +96,7 @@ def draft(fmu: Path, records: Sequence[MatchedDataFile], output: Path, plate: Ma
     for k, record in enumerate(records):
         again = stems[:k].count(stems[k])
         lines += [*_experiment(record, output, f"{stems[k]} {again + 1}" if again else "", first=k == 0), ""]
-    ready = [each.experiment for each in records if each.experiment is not None and not each.lacking("input")]
+    ready = [each.experiment for each in records if each.is_ready and each.experiment is not None]
     found = survey(fmu, ready) if len(ready) == len(records) else Survey()
     starts: dict[str, tuple[float, float]] = {}
     if known is not None:
