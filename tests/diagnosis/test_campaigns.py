@@ -63,7 +63,9 @@ SAMPLES = round(WINDOW * WINDOWS / STEP) + 200
 @pytest.mark.parametrize("with_records", [False, True])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(
-    ("draws", "most"), [(4, 1), pytest.param(400, 12, marks=pytest.mark.campaign)], ids=["few", "all"]
+    ("draws", "most"),
+    [pytest.param(4, 1, marks=pytest.mark.slow), pytest.param(400, 12, marks=pytest.mark.campaign)],
+    ids=["few", "all"],
 )
 def test_false_alarms_under_each_noise(kind: str, with_records: bool, draws: int, most: int) -> None:
     alarms = 0

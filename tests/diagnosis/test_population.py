@@ -43,7 +43,9 @@ def test_few_records_are_pooled() -> None:
     assert not found.scatter.any()
 
 
-@pytest.mark.parametrize("draws", [60, pytest.param(1000, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize(
+    "draws", [pytest.param(60, marks=pytest.mark.slow), pytest.param(1000, marks=pytest.mark.campaign)]
+)
 @pytest.mark.parametrize("count", [6, 10, 20])
 def test_level_of_a_further_record(count: int, draws: int) -> None:
     """With a scatter known from few records a statistic has the tail of F; ten records keep twice the level."""

@@ -32,6 +32,7 @@ def test_level_and_power_beside_one_record() -> None:
     assert np.mean(np.array(true) < 0.01) > 0.6
 
 
+@pytest.mark.slow
 def test_structure_that_healthy_records_scatter_by_is_no_change() -> None:
     """Operating points with responses of their own: as much in a new record is healthy, four times as much is not."""
     rng = np.random.default_rng(4)

@@ -82,6 +82,7 @@ def test_profiles_and_samples_include_the_delay() -> None:
     assert samples.std == pytest.approx(result.std, rel=0.15)
 
 
+@pytest.mark.slow
 def test_intervals_hold_for_late_and_sound_records() -> None:
     draws = 40
     assert usual(covered(draws, 0.5, SHORT), draws)

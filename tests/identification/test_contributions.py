@@ -65,6 +65,7 @@ def test_experiments_that_contradict_are_named(resistance: float, contradicts: b
     assert (Reason.EXPERIMENTS_CONFLICT in reasons) is contradicts
 
 
+@pytest.mark.slow
 def test_probabilities_are_uniform_without_contradiction() -> None:
     found = []
     for seed in range(30):

@@ -79,6 +79,7 @@ def test_a_gain_of_a_response_is_named() -> None:
     assert not found_in(fmuid.Problem(COIL.fmu, spectrum(1), FREE))
 
 
+@pytest.mark.slow
 def test_rows_without_errors_raise_no_alarm() -> None:
     """The level is 1 %: two of 40 draws are rare."""
     assert sum(bool(found_in(load_points(100 + seed))) for seed in range(40)) <= 2

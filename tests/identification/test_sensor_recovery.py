@@ -63,6 +63,7 @@ def scores(count: int) -> Floats:
     return np.array(found)
 
 
+@pytest.mark.slow
 def test_sensors_and_lines_are_found() -> None:
     found = scores(3)
     assert np.abs(found).max() < 4.0

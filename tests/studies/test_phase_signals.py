@@ -77,7 +77,7 @@ def _data() -> dict[str, Any]:
 
 
 def test_batches_simulate_sensors(path: Path) -> None:
-    drawn = {"realizations": 3, "std": 0.1, "true_values": {**MACHINE, "gain(ib)": 0.97}}
+    drawn = {"realizations": 1, "std": 0.1, "true_values": {**MACHINE, "gain(ib)": 0.97}}
     study = fmuid.Study.of({**_data(), "batch": {"monte_carlo": drawn}}, path)
     frame = fmuid.Batch(study, path.parent / "batch").run().frame
     assert np.abs(frame["value.gain(ib)"] - 0.97).max() < 0.02

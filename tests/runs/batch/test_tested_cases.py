@@ -11,7 +11,7 @@ SWEEP = "fixed = { L = 0.1 }\n[[experiments]]".join(STUDY.split("[[experiments]]
 BATCH = "[batch]\nsweep = { L = [0.13, 0.1] }\n"
 
 
-@pytest.mark.parametrize("asked", [False, True])
+@pytest.mark.parametrize("asked", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_model_errors_of_cases(tmp_path: Path, capsys: pytest.CaptureFixture[str], asked: bool) -> None:
     coil_table(tmp_path / "first.csv", 0.0, seed=1)
     study = tmp_path / "study.toml"
