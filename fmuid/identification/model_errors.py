@@ -92,7 +92,7 @@ AHEAD = frozenset({ErrorKind.ADVANCE, ErrorKind.INPUT_ADVANCE, ErrorKind.CLOCK, 
 """Outputs that run ahead of the inputs, as in a closed loop the residual does."""
 UNSURE = frozenset({ErrorKind.ADVANCE, ErrorKind.INPUT_ADVANCE, ErrorKind.CLOCK})
 """Errors of several causes: a path that the model lacks, or a wrong clock; lost samples are no slow clock."""
-RARE = frozenset({ErrorKind.LAG, ErrorKind.CLOCK, ErrorKind.ZERO_DRIFT, ErrorKind.NONLINEARITY, ErrorKind.HYSTERESIS})
+RARE = frozenset({ErrorKind.CLOCK, ErrorKind.ZERO_DRIFT, ErrorKind.NONLINEARITY, ErrorKind.HYSTERESIS})
 """Errors that are thought of where usual ones explain less."""
 
 

@@ -217,11 +217,11 @@ def _extended(
     first = int(np.argmax(odds))
     errors, corrected, _ = fits[first]
     rough = [not all(error.settled for error in each[0]) for each in fits]  # their likelihoods say too little
-    worse, behind = (np.where(rough, 0.0, each[first] - each) for each in (likelihoods, odds))
+    behind = np.where(rough, 0.0, odds[first] - odds)
     weights = np.where(behind < SETTINGS.averaged, np.exp(-behind), 0.0)
     if any(rough):
         errors = [*errors[:-1], replace(errors[-1], settled=False)]
-    named = [each[0][-1].test.direction for k, each in enumerate(fits) if worse[k] < SETTINGS.named and k != first]
+    named = [each[0][-1].test.direction for k, each in enumerate(fits) if behind[k] < SETTINGS.named and k != first]
     delayed = [_delayed(each) if weight else each[2] for each, weight in zip(fits, weights.tolist(), strict=True)]
     again = _averaged(delayed, delayed[first], weights / weights.sum(), len(result.names))
     return errors, corrected, again, tuple(named)

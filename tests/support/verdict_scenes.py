@@ -147,7 +147,10 @@ SCENES = {
     "sensor lag": Scene((ErrorKind.LAG,), 1.0, current=_lagging),
     "offset": Scene((ErrorKind.OFFSET, ErrorKind.INPUT_OFFSET), 0.05, current=lambda u: _sound(u) + 0.05),
     "gain 3 %": Scene((ErrorKind.GAIN, ErrorKind.INPUT_GAIN), 0.03, current=lambda u: 1.03 * _sound(u)),
-    "linear": Scene((ErrorKind.INTERPOLATION,), 1.0, current=lambda u: read(integrated(u, plain, linear=True)[0])),
+    # held outputs of linear inputs come half a sample early
+    "linear": Scene(
+        (ErrorKind.INTERPOLATION, ErrorKind.ADVANCE), 1.0, current=lambda u: read(integrated(u, plain, linear=True)[0])
+    ),
     "drift": Scene((ErrorKind.DRIFT, ErrorKind.STEP), 0.1, current=_drifting),
     "fixed": Scene((ErrorKind.FIXED,), 1.0 / 1.3 - 1.0, current=_sound),
     "dead 2 %": _dead(0.02),

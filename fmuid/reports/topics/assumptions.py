@@ -28,8 +28,8 @@ class ModelErrorMessage(Message, section="hiding"):
     DELAY = doubt("{first} late by {size}", "sensor filters, or channels sampled one after the other", "Set the delay.")
     ADVANCE = doubt(
         "{first} early by {size}",
-        "the clock of the outputs runs ahead, or a fast path such as eddy currents is not modeled",
-        "Shift the time of {first}, or model the path.",
+        "a clock that runs ahead, held inputs, or a fast path such as eddy currents",
+        "Check `interpolation`; shift the time of {first}, or model the path.",
     )
     LAG = doubt("{first} lags by {size}", "a sensor's filter, or a part that stores energy", "Model the filter.")
     CLOCK = doubt(
