@@ -79,11 +79,14 @@ class Doubt:
         Parameters, outputs, inputs or experiments concerned.
     values : mapping of str to float
         Numbers of its message.
+    alternatives : tuple of tuple of str
+        Kind and subject of model errors that explain the data as well.
     """
 
     reason: Reason
     subject: tuple[str, ...] = ()
     values: Mapping[str, float] = field(default_factory=dict)
+    alternatives: tuple[tuple[str, ...], ...] = ()
 
     @property
     def is_fatal(self) -> bool:

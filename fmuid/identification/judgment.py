@@ -143,7 +143,8 @@ def _of_model_errors(found: ModelErrors, errors: Sequence[ModelError]) -> Iterat
         i, shift = test.most
         values = {"size": test.size, "std": test.std, "shift": shift * abs(test.size)}
         subject = (direction.kind.value, found.names[i], direction.unit, *direction.subject)
-        yield Doubt(Reason.MODEL_ERROR, subject, {**values, "alternatives": float(len(each.alternatives))})
+        others = tuple((other.kind.value, *other.subject) for other in each.alternatives)
+        yield Doubt(Reason.MODEL_ERROR, subject, values, others)
 
 
 def _of_feedback(found: ModelErrors) -> Iterator[Doubt]:

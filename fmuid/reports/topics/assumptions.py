@@ -90,7 +90,6 @@ class HidingMessage(Message, section="hiding"):
 
     SHIFT = doubt("{error}: {name} moves by {shift} σ (p = {probability}).", "a directed test names this model error")
     FREED = plain("Freed in this result: {error}.", "the size is a parameter of the fit; intervals include it")
-    ALTERNATIVES = plain("The data cannot tell it from: {alternatives}.", "these errors explain the residual as well")
     PROCESS_NOISE = plain(
         "Noise looks like a disturbance of {states} ({share} of its variance).",
         "such as a load or voltage that is no input: σ allows for its color",
@@ -155,9 +154,8 @@ def defect_remarks(found: Sequence[DataDefect]) -> list[Remark]:
 
 def error_words(found: Doubt) -> str:
     """Return a model error of a verdict."""
-    kind, direction = ErrorKind(found.subject[0]), _direction(found)
-    size = size_text(direction, found.values["size"], found.values["std"])
-    return ModelErrorMessage[kind.name].text.format(**_fields(kind, direction.subject, size))
+    others = [Direction(ErrorKind(kind), tuple(subject), "", math.nan) for kind, *subject in found.alternatives]
+    return _sized(_direction(found), found.values["size"], found.values["std"], others)
 
 
 def error_remedy(found: Doubt) -> str:
@@ -172,9 +170,13 @@ def _direction(found: Doubt) -> Direction:
 
 
 def _error_text(error: ModelError) -> str:
-    test, direction = error.test, error.test.direction
-    size = size_text(direction, test.size, test.std)
-    return ModelErrorMessage[direction.kind.name].text.format(**_fields(direction.kind, direction.subject, size))
+    return _sized(error.test.direction, error.test.size, error.test.std, error.alternatives)
+
+
+def _sized(direction: Direction, size: float, std: float, others: Sequence[Direction]) -> str:
+    """Return an error with its size, and those that the data cannot tell from it."""
+    fields = _fields(direction.kind, direction.subject, size_text(direction, size, std))
+    return ", or ".join([ModelErrorMessage[direction.kind.name].text.format(**fields), *map(error_names, others)])
 
 
 def model_error_remarks(found: ModelErrors | None) -> list[Remark]:
@@ -186,8 +188,6 @@ def model_error_remarks(found: ModelErrors | None) -> list[Remark]:
         i, shift = each.test.most
         values = {"error": _error_text(each), "name": found.names[i], "shift": f"{shift * abs(each.test.size):.2g}"}
         said.append(HidingMessage.SHIFT.said(**values, probability=f"{each.test.probability:.1g}"))
-        if each.alternatives:
-            said.append(HidingMessage.ALTERNATIVES.said(alternatives=listed([*map(error_names, each.alternatives)])))
     if (noise := found.process_noise) is not None:
         values = {"states": " or ".join(noise.states), "share": f"{100 * noise.share:.0f} %"}
         said.append(HidingMessage.PROCESS_NOISE.said(**values))
