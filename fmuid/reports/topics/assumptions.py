@@ -174,7 +174,7 @@ def _error_text(error: ModelError) -> str:
 
 
 def _sized(direction: Direction, size: float, std: float, others: Sequence[Direction]) -> str:
-    """Return an error with its size, and those that the data cannot tell from it."""
+    """Return an error with its size, and those that explain as much."""
     fields = _fields(direction.kind, direction.subject, size_text(direction, size, std))
     return ", or ".join([ModelErrorMessage[direction.kind.name].text.format(**fields), *map(error_names, others)])
 
