@@ -90,6 +90,12 @@ def _(folder: Path) -> None:
     assert_plain(*studied(path, ROLES + 'time = "Zeit"\ntime_unit = "ms"'), begun(path, time="Zeit", time_unit="ms"))
 
 
+@row("hours, and the model counts time in hours")
+def _(folder: Path) -> None:
+    path = written(folder, PLAIN.rename(columns={"time": "Time (h)"}))
+    assert_plain(*studied(path, ROLES + 'time_unit = "s"'), begun(path, time_unit="s"))
+
+
 @row("durations that pandas wrote into .xlsx or .ods as days")
 def _(folder: Path) -> None:
     PLAIN.assign(time=pd.to_timedelta(T, unit="s")).to_excel(folder / "run.xlsx", index=False)

@@ -279,6 +279,11 @@ def is_number(cell: Cell, decimal: str = ".") -> bool:
     return isinstance(cell, bool | int | float) and not (isinstance(cell, float) and math.isnan(cell))
 
 
+def may_be_number(cell: str, decimal: str) -> bool:
+    """Return whether a text is a number, perhaps with marks between thousands."""
+    return is_number(cell, decimal) or _GROUPED.fullmatch(cell) is not None
+
+
 def numbers_of(cells: Iterable[str], decimal: str) -> list[float] | None:
     """Return texts as numbers, also 1D3 and 1,069.9; None if one is no number."""
     found, marks = [], set()

@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from scipy.io import savemat
 
+from fmuid.data import Experiment
 from fmuid.data.data_file import numeric_column, read_data
 from fmuid.errors import InputError
 from tests.support.mat4 import characters, write_mat4
@@ -202,3 +203,16 @@ def test_a_place_of_the_time_beside_a_column_of_that_name(tmp_path: Path) -> Non
     with pytest.raises(InputError, match="time is column 1, 'u', but there is a column 'time'"):
         read_data(path, 1)
     assert [*read_data(path, 2)["time"]] == [1.0, 2.0]
+
+
+def test_text_far_down_a_long_table(tmp_path: Path) -> None:
+    """Pandas reads long tables in parts, of which each may have a type of its own."""
+    rows = [f"{k / 1000},{k % 17}" for k in range(100_000)]
+    (tmp_path / "a.csv").write_text("\n".join(["time,u", *rows, "100.0,OL", "100.001, 5", "100.002,---"]))
+    frame = read_data(tmp_path / "a.csv")
+    assert frame["u"].isna().sum() == 2
+    assert frame["u"][50_000] == 50_000 % 17
+    assert frame["u"][100_001] == 5.0
+    (tmp_path / "a.csv").write_text("\n".join(["time,u", *rows, "100.0,x", "100.001,5"]))
+    with pytest.raises(InputError, match="'x' in row 100001"):
+        Experiment(read_data(tmp_path / "a.csv"), [], ["u"])

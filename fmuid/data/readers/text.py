@@ -7,6 +7,7 @@ import csv
 import gzip
 import io
 import re
+import warnings
 import zipfile
 import zlib
 from collections import Counter
@@ -22,7 +23,7 @@ import numpy as np
 import pandas as pd
 
 from fmuid.data.headers import (
-    MISSING,
+    NO_SAMPLE,
     RawTable,
     TableHeader,
     check_once,
@@ -30,6 +31,7 @@ from fmuid.data.headers import (
     find_head,
     is_missing,
     is_number,
+    may_be_number,
     named,
     numbers_of,
 )
@@ -51,19 +53,21 @@ _COMMENT = ("#", "%", "//")
 _TOO_MANY = re.compile(r"in line (?P<row>\d+), saw (?P<cells>\d+)")
 _OPEN_QUOTE = re.compile(r"inside string starting at row (?P<row>\d+)")
 """What pandas' parser says."""
+_MARKS = sorted({form for mark in NO_SAMPLE if "inf" not in mark for form in (mark, mark.upper(), mark.title())})
 _COMMENTS = "Comment"
 """Last header of LabVIEW, above cells that are often left out."""
 
 
 @dataclass(frozen=True)
 class _Layout:
-    """Separators, header with its last line, and cells per row."""
+    """Separators, header with its last line, and cells per row; `fast` without spaces after separators."""
 
     separator: str
     decimal: str
     head: TableHeader
     line: int
     width: int
+    fast: bool = False
 
 
 def read_text(path: Path, source: str) -> RawTable:
@@ -205,7 +209,8 @@ def _layout(source: str, text: str) -> _Layout:
             columns = _numeric_columns(rows[head.first :], len(head.names), decimal)
             if columns > most:
                 width = len(head.names) + blank
-                most, best = columns, _Layout(separator, decimal, head, read[head.first - 1][0], width)
+                fast = separator != _SPACES and f"{separator} " not in text
+                most, best = columns, _Layout(separator, decimal, head, read[head.first - 1][0], width, fast)
     best = best or _as_it_is(source, text)
     check_units(best.head, source)
     return best
@@ -260,33 +265,56 @@ def _as_it_is(source: str, text: str) -> _Layout:
     return _Layout(",", ".", TableHeader(header, (), 1), read[0][0], len(header))
 
 
+def _parsed(opened: Callable[[], IO[bytes]], layout: _Layout, names: list[str], *, fast: bool) -> pd.DataFrame:
+    """Return the rows as pandas reads them; `fast` in parts, without spaces."""
+    with opened() as file, warnings.catch_warnings():
+        warnings.simplefilter("ignore", pd.errors.DtypeWarning)
+        for _ in range(layout.line):
+            file.readline()
+        frame: pd.DataFrame = pd.read_csv(
+            file,
+            header=None,
+            names=[*names, *["\0"] * (layout.width - len(names))],
+            index_col=False,
+            sep=layout.separator,
+            decimal=layout.decimal,
+            na_values=_MARKS,
+            skipinitialspace=not fast,
+            low_memory=fast,
+        )[names]
+        return frame
+
+
 def _samples(opened: Callable[[], IO[bytes]], source: str, layout: _Layout, names: list[str]) -> pd.DataFrame:
     try:
-        with opened() as file:
-            for _ in range(layout.line):
-                file.readline()
-            frame: pd.DataFrame = pd.read_csv(
-                file,
-                header=None,
-                names=[*names, *["\0"] * (layout.width - len(names))],
-                index_col=False,
-                sep=layout.separator,
-                decimal=layout.decimal,
-                na_values=[mark for mark in MISSING if "inf" not in mark],
-                skipinitialspace=True,
-                low_memory=False,
-            )[names]
+        frame = _parsed(opened, layout, names, fast=layout.fast)
+        if layout.fast and any(map(pd.api.types.is_object_dtype, frame.dtypes)):  # numbers here, texts there
+            frame = _parsed(opened, layout, names, fast=False)
     except pd.errors.EmptyDataError:  # a header alone; how few rows there are is said by who needs them
         return pd.DataFrame({name: [] for name in names})
     except (csv.Error, pd.errors.ParserError) as error:
         raise InputError(f"{source}: {_of_parser(str(error), layout.width)}") from None
+    rows = len(frame)
     if not any(map(pd.api.types.is_numeric_dtype, frame.dtypes)):  # parts put together, each with the header
         frame = frame[~(frame == list(layout.head.names)).all(axis="columns")].reset_index(drop=True)
     frame = frame.apply(as_numbers, decimal=layout.decimal)
-    if frame[names[-1]].hasnans:  # as it is, too, where a row ends early
+    if frame[names[-1]].hasnans and not _are_even(opened, layout, rows):  # as it is, too, where a row ends early
         with io.TextIOWrapper(opened(), "utf-8-sig", newline="") as text:
             _check_rows((row for _, row in _rows(text, layout.separator)), source, layout.width, layout.head.first)
     return frame
+
+
+def _are_even(opened: Callable[[], IO[bytes]], layout: _Layout, rows: int) -> bool:
+    """Return whether rows without quotes have all separators; none has more, or pandas would refuse it."""
+    found, mark = 0, layout.separator.encode()
+    with opened() as file:
+        for _ in range(layout.line):
+            file.readline()
+        while part := file.read(_LOOKED_AT):
+            if b'"' in part:
+                return False
+            found += part.count(mark)
+    return found == rows * (layout.width - 1)
 
 
 def _of_parser(error: str, width: int) -> str:
@@ -301,7 +329,11 @@ def _of_parser(error: str, width: int) -> str:
 
 def as_numbers(column: pd.Series[Any], decimal: str) -> pd.Series[Any]:
     """Return a numeric column, NaN where marked as missing; else unchanged."""
-    if pd.api.types.is_numeric_dtype(column.dtype) or not all(isinstance(cell, str) for cell in column.dropna()):
+    there = column.dropna()
+    first = there.iloc[0] if len(there) else None
+    if not isinstance(first, str) or not (is_missing(first) or may_be_number(first, decimal)):
+        return column
+    if not all(isinstance(cell, str) for cell in there.tolist()):
         return column
     marked = column.where(~column.map(lambda cell: isinstance(cell, str) and is_missing(cell)))
     texts = marked.dropna()
