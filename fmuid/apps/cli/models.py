@@ -73,13 +73,15 @@ def init(
         Option(metavar="KEY=VALUE", help="Number of the nameplate, e.g. 'P=1.1 kW'; repeatable."),
     ] = None,
     force: Annotated[bool, Option("--force", help="Replace a study file that was edited.")] = False,
+    preview: Annotated[bool, Option("--preview", help="Show how the data are read, and write nothing.")] = False,
 ) -> int:
     """Write a first study file for an FMU and data; a terminal is asked in doubt."""
     from fmuid.reports.render import console
-    from fmuid.reports.topics.init import asked_about, draft_document
+    from fmuid.reports.topics.init import asked_about, draft_document, record_section, rows_section
     from fmuid.studies import InitOptions, check_output, draft, match_data_files, parse_column, value_of, write_draft
 
-    check_output(output, force=force)
+    if not preview:
+        check_output(output, force=force)
     columns = _pairs(map_ or (), "--map", "variable=column", "ids=Id_meas")
     words = _pairs(preprocess or (), "--preprocess", "key=value", "lowpass_frequency=100")
     asked = InitOptions(
@@ -91,7 +93,13 @@ def init(
         {word: value_of(text) for word, text in words.items()},
         _pairs(unit or (), "--unit", "variable=unit", "w=rpm"),
     )
-    records = [asked_about(record) for record in match_data_files(fmu, data, asked)]
+    found = match_data_files(fmu, data, asked)
+    if preview:
+        for record in found:
+            console.show_section(record_section(record))
+            console.show_section(rows_section(record))
+        return DONE if all(record.is_ready for record in found) else NOT_SUCCEEDED
+    records = [asked_about(record) for record in found]
     made = draft(fmu, records, output, _pairs(nameplate or (), "--nameplate", "key=value", "'P=1.1 kW'"))
     write_draft(made, output, force=force)
     console.show(draft_document(made, output))

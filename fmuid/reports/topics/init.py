@@ -69,13 +69,32 @@ QUESTION = "Correct? Enter: continue; variable=column: change; variable=: no col
 
 def record_section(record: MatchedDataFile) -> Section:
     """Return matched columns and warnings of a data file."""
+    title = heading(record, str(record.path))
+    return Section("columns", title, table=links_table(record), remarks=(*notes(record), *remarks(record)))
+
+
+def rows_section(record: MatchedDataFile) -> Section:
+    """Return the first rows of a data file as read."""
+    return Section("rows", "First rows as read, time in s", table=rows_table(record))
+
+
+def rows_table(record: MatchedDataFile) -> Table:
+    """Return the first rows of a data file as read."""
+    first = record.frame.head(5)
+    columns = {
+        str(name): [f"{each:.6g}" if isinstance(each, float) else str(each) for each in first[name]]
+        for name in [record.time, *record.columns]
+    }
+    return table_of_rows([*columns], zip(*columns.values(), strict=True), ())
+
+
+def notes(record: MatchedDataFile) -> list[Remark]:
+    """Return unused columns, what was left out and why, and time columns."""
     said = [InitMessage.UNUSED.said("", columns=", ".join(record.unused))] if record.unused else []
     said += [InitMessage.NOTE.said("", column=column, why=why) for column, why in record.notes.items()]
     if record.clocks:
         said.append(InitMessage.CLOCKS.said("", clocks=", ".join(f"{a} at {b}" for a, b in record.clocks.items())))
-    said += remarks(record)
-    title = heading(record, str(record.path))
-    return Section("columns", title, table=links_table(record), remarks=tuple(said))
+    return said
 
 
 def heading(record: MatchedDataFile, name: str) -> str:

@@ -13,7 +13,7 @@ import pytest
 import fmuid
 from experiments.batches.campaign import R
 from fmuid.apps.cli import app as cli
-from fmuid.apps.cli.options import DONE, WRONG_INPUT
+from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
 from fmuid.errors import ModelicaWarning
 from fmuid.studies import draft, match_data_files
 from fmuid.studies.study import Study
@@ -70,6 +70,23 @@ def test_init_gives_a_study_that_runs(folder: Path, capsys: pytest.CaptureFixtur
 
     assert fmuid_("identify", study) == DONE
     assert result(folder / "results")["parameters"]["R"]["value"] == pytest.approx(R, rel=0.05)
+
+
+def test_preview_shows_columns_clocks_and_rows_and_writes_nothing(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frame = pd.read_csv(folder / "first.csv")
+    frame.insert(2, "t_i", frame["time"] + 1e-5)
+    frame.assign(state="on").to_csv(folder / "first.csv", index=False)
+    before = sorted(folder.iterdir())
+    assert fmuid_("init", COIL, folder / "first.csv", "--output", folder / "new.toml", "--preview") == DONE
+    assert sorted(folder.iterdir()) == before
+    said = " ".join("".join(capsys.readouterr()).split())
+    for words in ("Columns without role: state.", "Several time columns: u at time 1, i at t_i", "First rows as read"):
+        assert words in said
+    assert re.search(rf"0 0 nan {frame['u'][0]:.6g} nan on", said)
+    (folder / "first.csv").write_text((folder / "first.csv").read_text().replace(",i,", ",i [Aeff],", 1))
+    assert fmuid_("init", COIL, folder / "first.csv", "--preview") == NOT_SUCCEEDED
 
 
 def test_every_word_that_init_comments_on_is_one(folder: Path) -> None:

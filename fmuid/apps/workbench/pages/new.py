@@ -17,10 +17,9 @@ from fmuid.apps.workbench.project_folder import Folder, choices, tables
 from fmuid.apps.workbench.widgets import WIDE, choice, line, on_change, several, typed, words
 from fmuid.data import first_lines
 from fmuid.errors import FmuidError, InputError
-from fmuid.reports.document import table_of
 from fmuid.reports.render.html import details, table
 from fmuid.reports.render.html import text as escaped
-from fmuid.reports.topics.init import heading, links_table, remarks
+from fmuid.reports.topics.init import heading, links_table, notes, remarks, rows_table
 from fmuid.reports.topics.preprocessing import preprocessing_charts
 from fmuid.runs import prepared_columns
 from fmuid.studies import InitOptions, MatchedDataFile, match_data_files, parse_column, value_of
@@ -157,15 +156,10 @@ class NewPage:
 
 def _record(record: MatchedDataFile, folder: Folder) -> str:
     """Return a data file, as read and as matched, as HTML."""
-    first = record.frame.head(5)
-    columns = {
-        str(name): [f"{each:.6g}" if isinstance(each, float) else str(each) for each in first[name]]
-        for name in [record.time, *record.columns]
-    }
-    read = table(table_of(columns, columns))
+    read = table(rows_table(record))
     file = "\n".join(first_lines(record.path, 10))[:1200]
     file = details("First lines of the file", file) if file else ""
-    said = "".join(f"<li>{escaped(each.text)}</li>" for each in remarks(record))
+    said = "".join(f"<li>{escaped(each.text)}</li>" for each in [*notes(record), *remarks(record)])
     doubts = f"<ul class=doubts>{said}</ul>" if said else ""
     title = escaped(heading(record, folder.name(record.path)))
     return f"<h3>{title}</h3>{table(links_table(record))}{doubts}<p class=soft>As read, time in s:</p>{read}{file}"
