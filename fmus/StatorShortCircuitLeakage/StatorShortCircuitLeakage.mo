@@ -1,13 +1,13 @@
 model StatorShortCircuitLeakage "Current that shorted turns with leakage of their own add to that of a healthy machine with isolated star point, in Park axes linked to the rotor"
-  constant Real third = 2.0943951023931953 "a third of a turn, rad";
   constant Real k = sqrt(2/3) "factor of the Concordia transform";
+  constant Real h = sqrt(1/2) "the same times the sine of a third of a turn";
   parameter Real eta_a(unit="1", min=0, max=1, nominal=0.01) = 0 "shorted turns over turns, phase a";
   parameter Real eta_b(unit="1", min=0, max=1, nominal=0.01) = 0 "shorted turns over turns, phase b";
   parameter Real eta_c(unit="1", min=0, max=1, nominal=0.01) = 0 "shorted turns over turns, phase c";
   parameter Real Rs(unit="Ohm", min=1e-9) = 9.81 "stator resistance of one phase";
   parameter Real Lf(unit="H", min=1e-9) = 0.071 "leakage inductance of one phase";
   parameter Real contact(unit="1", min=0) = 0.01 "resistance of the contact over that of the shorted turns";
-  parameter Real own(unit="1", min=0.01, max=1) = 0.2 "leakage of the shorted turns that no other turns share, over all leakage";
+  parameter Real own(unit="1", min=0.02, max=1) = 0.2 "leakage of the shorted turns that no other turns share, over all leakage";
   parameter Real ia_start(unit="A") = 0 "current of the contact at start, phase a";
   parameter Real ib_start(unit="A") = 0 "current of the contact at start, phase b";
   parameter Real ic_start(unit="A") = 0 "current of the contact at start, phase c";
@@ -19,6 +19,10 @@ model StatorShortCircuitLeakage "Current that shorted turns with leakage of thei
   Real ia(unit="A", start=ia_start, fixed=true) "current of the contact, phase a";
   Real ib(unit="A", start=ib_start, fixed=true) "current of the contact, phase b";
   Real ic(unit="A", start=ic_start, fixed=true) "current of the contact, phase c";
+  Real c(unit="1") "cosine of the angle";
+  Real s(unit="1") "sine of the angle";
+  Real ud(unit="V") "voltage along the axis of phase a";
+  Real uq(unit="V") "voltage across the axis of phase a";
   Real va(unit="V") "voltage across leakage of their own without that of the star point, phase a";
   Real vb(unit="V") "voltage across leakage of their own without that of the star point, phase b";
   Real vc(unit="V") "voltage across leakage of their own without that of the star point, phase c";
@@ -26,10 +30,16 @@ model StatorShortCircuitLeakage "Current that shorted turns with leakage of thei
   Real nb(unit="1") "leakage of the phase over that of the shorted turns alone, times a third of their share, phase b";
   Real nc(unit="1") "leakage of the phase over that of the shorted turns alone, times a third of their share, phase c";
   Real un(unit="V") "voltage of the star point";
+  Real jd(unit="A") "current of the short circuits along the axis of phase a";
+  Real jq(unit="A") "current of the short circuits across the axis of phase a";
 equation
-  va = k*(cos(theta)*uds - sin(theta)*uqs) - Rs*(1 - eta_a + contact)*ia;
-  vb = k*(cos(theta - third)*uds - sin(theta - third)*uqs) - Rs*(1 - eta_b + contact)*ib;
-  vc = k*(cos(theta + third)*uds - sin(theta + third)*uqs) - Rs*(1 - eta_c + contact)*ic;
+  c = cos(theta);
+  s = sin(theta);
+  ud = c*uds - s*uqs;
+  uq = s*uds + c*uqs;
+  va = k*ud - Rs*(1 - eta_a + contact)*ia;
+  vb = h*uq - k/2*ud - Rs*(1 - eta_b + contact)*ib;
+  vc = -h*uq - k/2*ud - Rs*(1 - eta_c + contact)*ic;
   na = eta_a/(3*own*(1 - eta_a));
   nb = eta_b/(3*own*(1 - eta_b));
   nc = eta_c/(3*own*(1 - eta_c));
@@ -37,7 +47,9 @@ equation
   own*(1 - eta_a)*Lf*der(ia) = va - un;
   own*(1 - eta_b)*Lf*der(ib) = vb - un;
   own*(1 - eta_c)*Lf*der(ic) = vc - un;
-  ids = k*(cos(theta)*eta_a*ia + cos(theta - third)*eta_b*ib + cos(theta + third)*eta_c*ic);
-  iqs = -k*(sin(theta)*eta_a*ia + sin(theta - third)*eta_b*ib + sin(theta + third)*eta_c*ic);
-  annotation(experiment(StopTime=3, Interval=1e-4));
+  jd = k*(eta_a*ia - (eta_b*ib + eta_c*ic)/2);
+  jq = h*(eta_b*ib - eta_c*ic);
+  ids = c*jd + s*jq;
+  iqs = c*jq - s*jd;
+  annotation(experiment(StopTime=3, Interval=2.5e-4));
 end StatorShortCircuitLeakage;
