@@ -23,7 +23,8 @@ import fmuid
 from experiments import pages
 from fmuid.array_types import Floats
 from fmuid.diagnosis import Alarm, OnsetShape
-from fmuid.diagnosis.cause_analysis import BaselineStatistics, Examination, examine, shown_by, whitening_of
+from fmuid.diagnosis.baseline_comparator import whitening_of
+from fmuid.diagnosis.cause_analysis import BaselineStatistics, Examination, examine, shown_by
 from fmuid.diagnosis.cause_ranking import CauseSet
 from fmuid.diagnosis.causes import CauseKind, ChangeParameterSet
 from fmuid.diagnosis.linearized_machine import LinearizedMachine

@@ -12,13 +12,14 @@ from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
 from fmuid.data import Experiment
 from fmuid.diagnosis.baseline import Baseline, BaselineSource, MachineDigest, StoredBaseline, digest_of_record
-from fmuid.diagnosis.cause_analysis import BaselineStatistics, error_of, shown_by, whitening_of
+from fmuid.diagnosis.cause_analysis import BaselineStatistics, error_of, shown_by
 from fmuid.diagnosis.causes import SETTINGS as CAUSES
 from fmuid.diagnosis.causes import Causes, ChangeParameterSet, coordinates_of
 from fmuid.diagnosis.faults import Fault, with_variants
 from fmuid.diagnosis.information_matrix import ChangePrior, Whitening
-from fmuid.diagnosis.linearized_machine import LinearizedMachine
+from fmuid.diagnosis.linearized_machine import LinearizedMachine, residual_of
 from fmuid.errors import InputError
+from fmuid.estimation import output_noise
 from fmuid.formatting import nearest
 from fmuid.models import System
 
@@ -49,6 +50,8 @@ class BaselineComparator:
         _check(first, [*baseline.records[1:], *experiments], baseline)
         for name, fault in faults.items():
             try:
+                for detail in fault.nuisance.keys() - System.of(fault.model).connectors.keys():
+                    System.of(fault.model).variable(detail, "nuisance variable")
                 fault.check_beside(baseline.common, [*first.input_names, *first.of_model.output_names])
             except InputError as error:
                 raise InputError(f"fault {name!r}: {error}") from None
@@ -174,6 +177,7 @@ def _check(first: Experiment, others: Sequence[Experiment], baseline: Baseline) 
 def _of_result(baseline: Baseline, coordinates: ChangeParameterSet) -> tuple[ChangePrior, Floats]:
     """Return the healthy result's prior, and σ of sound changes (N,)."""
     std, drift = np.zeros(len(coordinates.each)), np.zeros(len(coordinates.each))
+    std[coordinates.details] = coordinates.normal[coordinates.details]
     known = dict(zip(baseline.result.names, baseline.result.std.tolist(), strict=True))
     for i, (name, parameter) in enumerate(baseline.common.items()):
         std[i] = known.get(name, 0.0)
@@ -182,3 +186,20 @@ def _of_result(baseline: Baseline, coordinates: ChangeParameterSet) -> tuple[Cha
         else:
             drift[i] = math.sqrt(max(0.0, parameter.prior.std**2 - known[name] ** 2))
     return ChangePrior(np.zeros(std.size), np.diag(std**2)), drift
+
+
+def whitening_of(
+    records: Sequence[LinearizedMachine], point: Floats, width: Floats, variances: Mapping[str, float] | None = None
+) -> Whitening:
+    """Return the noise of records beside coordinates that may be off; given variances stay."""
+    residuals = []
+    for record in records:
+        experiment, (outputs, columns) = record.experiment, record.linearize(point)
+        rest, there = residual_of(experiment, outputs), experiment.counted
+        # held by springs of its width in units of the residual itself
+        scale = max(float(np.std(rest[there])), np.finfo(float).tiny)
+        stacked = np.vstack([columns[there] * width / scale, np.eye(width.size)])
+        target = np.concatenate([rest[there] / scale, np.zeros(width.size)])
+        taken = columns @ (np.linalg.lstsq(stacked, target, rcond=None)[0] * width)
+        residuals.append((experiment, np.where(there, rest - taken, 0.0)))
+    return Whitening(output_noise(residuals, variances))

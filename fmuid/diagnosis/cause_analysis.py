@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.data import Experiment
 from fmuid.diagnosis.baseline import BaselineSource, StoredBaseline
-from fmuid.diagnosis.cause_ranking import CauseRanking, name
+from fmuid.diagnosis.cause_ranking import CauseRanking, CauseSet, estimate_sizes, name
 from fmuid.diagnosis.cause_results import ChangeEvidence, explanations, score
 from fmuid.diagnosis.causes import Cause, CauseKind, ChangeParameterSet
 from fmuid.diagnosis.change_detection import MinPDistribution, fit
@@ -31,7 +31,6 @@ from fmuid.diagnosis.unexplained_residual import (
 )
 from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUAL
 from fmuid.errors import SimulationError
-from fmuid.estimation import output_noise
 
 
 @dataclass(frozen=True)
@@ -93,9 +92,19 @@ class BaselineStatistics:
         basis: BaselineSource = BaselineSource.RECORDS,
     ) -> BaselineStatistics:
         """Return the statistics of healthy records."""
-        scales = Scales(coordinates.normal, drift, coordinates.scatter)
-        population = tempered(Population.of(shown.said, scales), shown.said, scales)
+        population = _population(
+            shown, *(tuple(each.tolist()) for each in (coordinates.normal, drift, coordinates.scatter))
+        )
         return cls(population.known, shown.whitening, drift, shown.structure, basis, population, shown.points)
+
+
+@lru_cache(maxsize=8)  # for many records of one machine
+def _population(
+    shown: StoredBaseline, normal: tuple[float, ...], drift: tuple[float, ...], scatter: tuple[float, ...]
+) -> Population:
+    """Return the population of a baseline's records, tempered."""
+    scales = Scales(np.array(normal), np.array(drift), np.array(scatter))
+    return tempered(Population.of(shown.said, scales), shown.said, scales)
 
 
 def shown_by(
@@ -121,7 +130,9 @@ def examine(
     work = _CauseAnalyzer(machines, healthy, coordinates, level, model_error)
     at = work.at(coordinates.healthy)
     for _ in range(SETTINGS.null_steps):
-        at = work.at(work.toward(at.point, coordinates.healthy + work.null(at.raw)))
+        target = coordinates.healthy + work.null(at.raw)
+        target[coordinates.details] = coordinates.healthy[coordinates.details]
+        at = work.at(work.toward(at.point, target))
     chance, null, steady = MinPDistribution.of(at.news, at.causes), at.point, True
     naming = name(at.news, at.causes, level, chance=chance, model_error=model_error)
     if naming.named:
@@ -179,13 +190,25 @@ class _CauseAnalyzer:
     def known(self) -> ChangePrior:
         return self.healthy.known.drifting(self.healthy.drift)
 
+    def at_details(self, point: Floats) -> ChangePrior:
+        """Return what is known with the details of a point: other causes must not change those of a fault."""
+        mean, covariance = self.known.mean.copy(), self.known.covariance.copy()
+        details = self.coordinates.details
+        mean[details] = (point - self.coordinates.healthy)[details]
+        covariance[details], covariance[:, details] = 0.0, 0.0
+        return ChangePrior(mean, covariance)
+
+    def judged(self, raw: ScoreStatistics) -> ScoreStatistics:
+        """Return statistics tempered by the scatter of healthy records."""
+        return raw if self.healthy.population is None else self.healthy.population.judged(raw)
+
     def at(self, point: Floats) -> Linearization:
         """Return the statistics of the records, linearized at a point (N,)."""
         whitening, healthy = self.healthy.whitening, self.coordinates.healthy
         first, *others = (_information(machine, whitening, point, healthy) for machine in self.machines)
         said = sum(others, start=first)
-        raw, population = ScoreStatistics.of(said, self.known), self.healthy.population
-        news = raw if population is None else population.judged(raw)
+        raw = ScoreStatistics.of(said, self.at_details(point))
+        news = self.judged(raw)
         causes = (each for each in self.coordinates.causes if is_determined(news, said, each.columns))
         return Linearization(point, said, raw, news, tuple(causes), whitening)
 
@@ -224,23 +247,46 @@ class _CauseAnalyzer:
             return NOTHING_LEFT
         return self.healthy.structure.test(_structure(self.machines, at.whitening, at.point), naming.temper)
 
+    def named_point(self, best: CauseSet, at: Linearization, before: Sequence[Cause]) -> Floats:
+        """Return the point (N,) of the named causes.
+
+        Details are those estimated where their cause was named before, else of the best variant.
+        """
+        coordinates, new, known = self.coordinates, np.zeros(at.point.size), self.coordinates.healthy.copy()
+        new[[i for cause in best.causes for i in coordinates.base(cause).columns]] = best.fit.sizes
+        estimate = known + self.null(ScoreStatistics.of(at.said, self.known), new)
+        for cause in best.causes:
+            fault, base = (coordinates.each[each.columns[0]].fault for each in (cause, coordinates.base(cause)))
+            for i in coordinates.of(CauseKind.DETAIL, fault=base) if base else ():
+                of = coordinates.each[i]
+                value = estimate[i] if cause in before else float(coordinates.faults[fault].values[of.variable])
+                known[i] = np.clip(value, *coordinates.limits(of))
+        estimate[coordinates.details] = known[coordinates.details]
+        return np.asarray(estimate + new)
+
     def settled(
         self, naming: CauseRanking, at: Linearization, chance: MinPDistribution
     ) -> tuple[CauseRanking, Linearization, bool]:
         """Linearize at the named cause until the name is stable; return name, linearization and success."""
-        steady = False
+        steady, before = False, list[Cause]()
         for _ in range(SETTINGS.name_steps):
             best = naming.named[0]
-            new = np.zeros(at.point.size)
-            new[best.columns] = best.fit.sizes
             try:
-                there = self.at(self.coordinates.healthy + self.null(at.raw, new) + new)
+                there = self.at(self.named_point(best, at, before))
             except SimulationError:  # too large a step for the model: what was reached before stays
                 break
-            found = name(there.news, there.causes, self.level, chance=chance, model_error=self.model_error)
+            # details of the named faults are coordinates there, and need no variants
+            known = {cause.name: self.coordinates.base(cause) for cause in best.causes}
+            causes = [each for each in there.causes if known.get(each.name, each) == each]
+            found = name(there.news, causes, self.level, chance=chance, model_error=self.model_error)
             if not found.named:  # large at the healthy machine, and none where it was said to be
                 break
-            steady = found.named[0].names == best.names
+            first = found.named[0]
+            if any(self.coordinates.base(cause) in known.values() for cause in first.causes):
+                whole = self.judged(ScoreStatistics.of(there.said, self.known))
+                first = replace(first, fit=estimate_sizes(whole, first.causes, self.model_error))
+                found = replace(found, named=(first, *found.named[1:]))
+            steady, before = first.names == best.names, list(known.values())
             naming, at, now = found, there, found.named[0].fit
             std = np.sqrt(np.diag(now.covariance))
             moved = np.abs(now.sizes - best.fit.sizes) / np.where(std > 0, std, math.inf)
@@ -292,20 +338,3 @@ def _regressed(machine: LinearizedMachine, whitening: Whitening, point: Floats) 
         mine[:, count * outputs :] = values[:, n + count :]
     every = np.vstack([values[:, :n] for values in white])
     return regression(every[:, 0], np.vstack(own), every[:, 1:])
-
-
-def whitening_of(
-    records: Sequence[LinearizedMachine], point: Floats, width: Floats, variances: Mapping[str, float] | None = None
-) -> Whitening:
-    """Return the noise of records beside coordinates that may be off; given variances stay."""
-    residuals = []
-    for record in records:
-        experiment, (outputs, columns) = record.experiment, record.linearize(point)
-        rest, there = residual_of(experiment, outputs), experiment.counted
-        # held by springs of its width in units of the residual itself
-        scale = max(float(np.std(rest[there])), np.finfo(float).tiny)
-        stacked = np.vstack([columns[there] * width / scale, np.eye(width.size)])
-        target = np.concatenate([rest[there] / scale, np.zeros(width.size)])
-        taken = columns @ (np.linalg.lstsq(stacked, target, rcond=None)[0] * width)
-        residuals.append((experiment, np.where(there, rest - taken, 0.0)))
-    return Whitening(output_noise(residuals, variances))

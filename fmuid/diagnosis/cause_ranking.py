@@ -113,9 +113,9 @@ def _pairs(
     news: ScoreStatistics, causes: Sequence[Cause], single: float, temper: float, level: float
 ) -> list[tuple[Cause, ...]]:
     """Return candidate pairs; none if a single cause explains as much."""
-    if len(causes) < 2:
-        return []
     pairs = [pair for pair in itertools.combinations(causes, 2) if pair[0].name != pair[1].name]
+    if not pairs:
+        return []
     gains = (_together(news, pairs) - single) / temper
     best = int(np.argmax(gains))
     more = max(len(cause.columns) for cause in pairs[best])

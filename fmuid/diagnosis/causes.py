@@ -54,6 +54,7 @@ class CauseKind(Enum):
     """Kind of a cause."""
 
     FAULT = "fault"
+    DETAIL = "detail"  # of a fault, unknown within a grid; no cause
     PARAMETER = "parameter"
     GAIN = "gain"
     OFFSET = "offset"
@@ -116,7 +117,7 @@ class Causes:
 
 def name_of(kind: CauseKind, variable: str, fault: str) -> str:
     """Return the name of a cause: ``stator.eta_a``, ``gain(ids)``, ``Rs``."""
-    if kind is CauseKind.FAULT:
+    if kind in (CauseKind.FAULT, CauseKind.DETAIL):
         return f"{fault}.{variable}"
     if kind is CauseKind.DEAD_TIME:
         return "dead time"
@@ -158,7 +159,7 @@ class ChangeParameterSet:
 
     each: tuple[ChangeParameter, ...]
     causes: tuple[Cause, ...]
-    healthy: Floats  # (N,), parameters of the healthy machine, zero for all else
+    healthy: Floats  # (N,), parameters of the healthy machine, middles of details, zero for all else
     faults: Mapping[str, Fault] = field(default_factory=dict)
 
     @property
@@ -191,6 +192,9 @@ class ChangeParameterSet:
 
     def limits(self, of: ChangeParameter) -> tuple[float, float]:
         """Return the bounds of a size; a vector of the plane has none."""
+        if of.kind is CauseKind.DETAIL:
+            grid = self.faults[of.fault].nuisance[of.variable]
+            return min(grid), max(grid)
         if not of.fault or of.variable in self.faults[of.fault].located:
             return -math.inf, math.inf
         parameter = self.faults[of.fault].parameters[of.variable]
@@ -200,6 +204,16 @@ class ChangeParameterSet:
     def slow(self) -> Flags:
         """True for coordinates whose changes build up (N,): all but those of sensors."""
         return np.array([each.kind not in SENSOR_KINDS for each in self.each], bool)
+
+    def base(self, cause: Cause) -> Cause:
+        """Return the variant of a cause that has its details as coordinates; others as they are."""
+        by_name = self.by_name[cause.name]
+        return next(each for each in by_name if VARIANT not in self.each[each.columns[0]].fault)
+
+    @property
+    def details(self) -> list[int]:
+        """Coordinates of all faults' details."""
+        return [i for i, each in enumerate(self.each) if each.kind is CauseKind.DETAIL]
 
     def of(self, kind: CauseKind, variable: str | None = None, fault: str = "") -> list[int]:
         """Return the indices of the coordinates of a kind, a variable (default: all) and a fault."""
@@ -265,6 +279,11 @@ def _of_faults(faults: Mapping[str, Fault]) -> Iterator[_Coordinate]:
             of = ChangeParameter(CauseKind.FAULT, size, own.unit(size) or "", step, normal, name)
             sign = 0 if plane else 1 if parameter.min == 0.0 else -1 if parameter.max == 0.0 else 0
             yield _Coordinate(of, magnitude, sign=sign, plane=plane)
+        for detail, grid in fault.nuisance.items():
+            middle = float(fault.values[detail])
+            spread = float(np.sqrt(np.mean((np.array(grid) - middle) ** 2)))
+            step = SETTINGS.difference_step * (max(grid) - min(grid) or abs(middle) or 1.0)
+            yield _Coordinate(ChangeParameter(CauseKind.DETAIL, detail, "", step, spread, name), None, middle)
 
 
 def _of_sensors(

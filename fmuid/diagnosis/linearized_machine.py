@@ -15,9 +15,10 @@ import numpy as np
 from fmuid.array_types import Floats
 from fmuid.data import Experiment
 from fmuid.diagnosis.causes import LINE_KINDS, SENSOR_KINDS, CauseKind, ChangeParameterSet
+from fmuid.diagnosis.voltage_drops import VoltageDrops
 from fmuid.estimation import parabola_slope
 from fmuid.models import System
-from fmuid.simulation import AS_ASKED, Refinement, Simulator, refined
+from fmuid.simulation import AS_ASKED, ObservedModel, Refinement, Simulator, refined
 
 
 class LinearizedMachine:
@@ -32,7 +33,7 @@ class LinearizedMachine:
         refinement: Refinement = AS_ASKED,
     ) -> None:
         self.experiment, self.coordinates = experiment, coordinates
-        self._last: tuple[bytes, tuple[Floats, Floats]] | None = None
+        self._known: dict[bytes, tuple[Floats, Floats]] = {}
         how = coordinates, experiment, refinement
         self._models = [_Model(system, values, "", *how)]
         self._models += [_Model(System.of(f.model), f.values, name, *how) for name, f in coordinates.faults.items()]
@@ -40,19 +41,21 @@ class LinearizedMachine:
     def over(self, experiment: Experiment) -> LinearizedMachine:
         """Return the same machine, ready to simulate, over another record."""
         other = copy(self)
-        other.experiment, other._last = experiment, None
+        other.experiment, other._known = experiment, {}
         other._models = [model.over(experiment) for model in self._models]
         return other
 
     def linearize(self, point: Floats) -> tuple[Floats, Floats]:
         """Return outputs (K, n_outputs) and derivatives (K, n_outputs, N)."""
-        if self._last is None or self._last[0] != point.tobytes():
-            self._last = point.tobytes(), self._sum(point, slopes=True)
-        return self._last[1]
+        at = point.tobytes()
+        if at not in self._known:
+            self._known[at] = self._sum(point, slopes=True)
+        return self._known[at]
 
     def outputs(self, point: Floats) -> Floats:
         """Return the outputs (K, n_outputs) at a point (N,)."""
-        return self._sum(point, slopes=False)[0]
+        known = self._known.get(point.tobytes())
+        return self._sum(point, slopes=False)[0] if known is None else known[0]
 
     def apart_at_zero(self) -> dict[str, Floats]:
         """Return fault models at zero fault minus healthy outputs (K, n_outputs)."""
@@ -64,16 +67,20 @@ class LinearizedMachine:
         shape = self.experiment.output_values.shape
         outputs, columns = np.zeros(shape), np.zeros((*shape, point.size))
         there = sum(model.there(point) for model in self._models)
+        currents: Floats | None = None  # of the machine without faults
         for model in self._models:
             # y_n is taken off once a fault; a fault that is zero gives its own columns alone
             weight = 0.0 if not model.there(point) else 1.0 if model.fault is not None else 2.0 - there
             wanted = ([*model.shared, *model.gains, *model.lines] if weight else []) + model.own if slopes else []
+            wanted = [*wanted, *model.details] if wanted and model.fault is not None and weight else wanted
             if not (weight or wanted):
                 continue
-            own, derivatives = model.linearize(point, wanted)
+            is_sound = model.fault is None or not model.there(point)
+            own, derivatives, found = model.linearize(point, wanted, currents if is_sound else None)
+            currents = found if is_sound else currents
             outputs += weight * own
             for i, slope in derivatives.items():
-                columns[:, :, i] += slope if i in model.own else weight * slope
+                columns[:, :, i] += slope if i in (*model.own, *model.details) else weight * slope
         return self._sensed(point, outputs, columns)
 
     def _sensed(self, point: Floats, outputs: Floats, columns: Floats) -> tuple[Floats, Floats]:
@@ -109,6 +116,7 @@ class _Model:
         self.coordinates, self.experiment = coordinates, experiment
         self.shared = coordinates.of(CauseKind.PARAMETER)
         self.own = coordinates.of(CauseKind.FAULT, fault=name)
+        self.details = coordinates.of(CauseKind.DETAIL, fault=name) if name else []
         lines = () if experiment.observation is None else experiment.observation.voltage_columns
         gains = coordinates.of(CauseKind.INPUT_GAIN)
         self.gains = [i for i in gains if coordinates.each[i].variable not in lines]
@@ -118,6 +126,9 @@ class _Model:
         nominal = [coordinates.each[i].variable for i in self.shared]
         self.parameters = [*(names.get(each, each) for each in nominal), *own]
         self.parameters += [coordinates.each[i].quantity for i in self.lines]
+        details = [coordinates.each[i].variable for i in self.details]
+        self.parameters += details
+        self.values = {name: value for name, value in self.values.items() if name not in details}
         given = experiment.observation
         self.base = {} if given is None else dict(zip(given.names, given.values, strict=True))
         self._simulators: dict[tuple[float, ...], Simulator] = {}
@@ -133,22 +144,68 @@ class _Model:
         """Return whether the model adds to the outputs: the healthy one, or a fault that is not zero."""
         return self.fault is None or bool(np.any(point[self.own]))
 
-    def linearize(self, point: Floats, wanted: Sequence[int]) -> tuple[Floats, dict[int, Floats]]:
-        """Return outputs (K, n_outputs), and derivatives by the coordinates wanted."""
-        steps = {i: self._offsets(point, i) for i in wanted if i not in self.gains}
-        points = np.tile(point, (1 + 2 * len(steps), 1))
-        for k, (i, pair) in enumerate(steps.items()):
-            points[1 + 2 * k : 3 + 2 * k, i] += pair
-        outputs = self.simulate(points)
-        off = outputs - outputs[0]
-        slopes = {i: parabola_slope(off[1 + 2 * k], off[2 + 2 * k], *steps[i]) for k, i in enumerate(steps)}
+    def linearize(
+        self, point: Floats, wanted: Sequence[int], currents: Floats | None
+    ) -> tuple[Floats, dict[int, Floats], Floats | None]:
+        """Return outputs, derivatives by the coordinates wanted, and an observation's currents.
+
+        All have K rows. A guess of the currents spares simulations.
+        """
+        steps = {i: self._offsets(point, i) for i in wanted}
+        observed = self._simulator(point).observed
+        if observed is not None and observed.map.given.voltages:
+            return self._observed(observed, point, steps, currents)
+        of_theta = [i for i in steps if i not in self.gains]
+        outputs = self.simulate(_moved(point, {i: steps[i] for i in of_theta}))
+        slopes = _slopes(outputs[0], outputs[1:], {i: steps[i] for i in of_theta})
         for i in self.gains:
             if i in wanted:
-                step, beside = self.coordinates.each[i].step, np.tile(point, (2, 1, 1))
-                beside[:, 0, i] += [-step, step]
-                below, above = (self.simulate(each)[0] for each in beside)
-                slopes[i] = (above - below) / (2.0 * step)
-        return outputs[0], slopes
+                own = {i: steps[i]}
+                moved = np.array([self.simulate(each[None])[0] for each in _moved(point, own)[1:]])
+                slopes |= _slopes(outputs[0], moved, own)
+        return outputs[0], slopes, None
+
+    def _observed(
+        self,
+        observed: ObservedModel,
+        point: Floats,
+        steps: Mapping[int, tuple[float, float]],
+        guess: Floats | None,
+    ) -> tuple[Floats, dict[int, Floats], Floats]:
+        """Linearize around one fixed point of the drops; derivatives first at its drops, then by their change."""
+        own, theta = self._simulator(point).own, np.array(self._theta(point))
+        (values,) = observed.quantities(theta[None])
+        found, inputs = observed.driven(theta[own], values, guess)
+        base = found.checked()[0]
+        currents = observed.currents(base)
+        outer = {i: pair for i, pair in steps.items() if i in self.lines or i in self.gains}
+        inner = {i: pair for i, pair in steps.items() if i not in outer}
+        slopes: dict[int, Floats] = {}
+        if inner:
+            thetas = np.array([self._theta(each) for each in _moved(point, inner)[1:]])
+            slopes |= _slopes(base, observed.simulate(np.ascontiguousarray(thetas[:, own]), inputs).checked(), inner)
+        for i, pair in outer.items():
+            moved = [self._inputs(observed, each, point, (currents, inputs)) for each in _moved(point, {i: pair})[1:]]
+            each = np.concatenate([observed.simulate(theta[None, own], one).checked() for one in moved])
+            slopes |= _slopes(base, each, {i: pair})
+        if values[observed.map.has_drop].any():
+            drops = VoltageDrops(observed, theta[own], values, base, inputs)
+            slopes = {i: drops.closed(slope) for i, slope in slopes.items()}
+        whole = observed.changes(np.stack([np.zeros_like(base), *slopes.values()]), values)[1:]
+        return observed.seen(base, values), dict(zip(slopes, whole, strict=True)), currents
+
+    def _inputs(self, observed: ObservedModel, moved: Floats, point: Floats, base: tuple[Floats, Floats]) -> Floats:
+        """Return the inputs at a moved point, with unchanged drops."""
+        currents, inputs = base
+        (values,) = observed.quantities(np.array(self._theta(moved))[None])
+        found = observed.inputs(observed.map.lines(values) - observed.map.drop(values, currents))
+        for i in self.gains:
+            if moved[i] != point[i]:
+                name = self.coordinates.each[i].variable
+                (name,) = (name,) if self.fault is None else self.fault.own_names({name: 0.0})
+                j = observed.experiment.input_names.index(name)
+                found[:, j] = inputs[:, j] * (1.0 + moved[i]) / (1.0 + point[i])
+        return found
 
     def _offsets(self, point: Floats, i: int) -> tuple[float, float]:
         """Return the two steps of a difference, one-sided beside a bound."""
@@ -181,7 +238,7 @@ class _Model:
     def _theta(self, point: Floats) -> list[float]:
         """Return the model's parameters at a point; a vector of the plane becomes a size with its angle."""
         theta: list[float] = point[self.shared].tolist()
-        lines = [self._of_line(i, float(point[i])) for i in self.lines]
+        lines = [self._of_line(i, float(point[i])) for i in self.lines] + [float(point[i]) for i in self.details]
         if self.fault is None:
             return theta + lines
         own: dict[str, list[float]] = {}
@@ -197,6 +254,20 @@ class _Model:
         base = self.base[each.quantity]
         # a line with more voltage than read has a sensor that reads less
         return base / (1.0 + size) if each.kind is CauseKind.INPUT_GAIN else base + size
+
+
+def _moved(point: Floats, steps: Mapping[int, tuple[float, float]]) -> Floats:
+    """Return a point and two beside it for each coordinate."""
+    points = np.tile(point, (1 + 2 * len(steps), 1))
+    for k, (i, pair) in enumerate(steps.items()):
+        points[1 + 2 * k : 3 + 2 * k, i] += pair
+    return points
+
+
+def _slopes(base: Floats, moved: Floats, steps: Mapping[int, tuple[float, float]]) -> dict[int, Floats]:
+    """Return derivatives by outputs at a point and beside it."""
+    off = moved - base
+    return {i: parabola_slope(off[2 * k], off[2 * k + 1], *pair) for k, (i, pair) in enumerate(steps.items())}
 
 
 def residual_of(experiment: Experiment, outputs: Floats) -> Floats:

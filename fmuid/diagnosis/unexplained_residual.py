@@ -10,6 +10,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import special
@@ -85,9 +86,13 @@ class HealthyStructure:
     records: Sequence[InformationMatrix]  # of each record, on the columns beside all coordinates
     samples: int  # of all records
 
+    @cached_property
+    def _compared(self) -> _Healthy:
+        return _Healthy.of(self)
+
     def test(self, new: InformationMatrix, temper: float) -> UnexplainedResidual:
         """Test a new record's structure; evidence is divided by `temper` for the fault models' error."""
-        healthy = _Healthy.of(self)
+        healthy = self._compared
         each = healthy.statistics(ScoreStatistics.of(new, healthy.population.known))
         found = [(q / factor / temper, k) for (q, k), factor in zip(each, healthy.factors, strict=True)]
         chances = [float(special.chdtrc(k, q)) if k else 1.0 for q, k in found]

@@ -30,10 +30,14 @@ class Simulations:
         """Return the outputs of one theta (N,), (K, n_outputs), or of several; raise the first error."""
         thetas = np.asarray(theta, dtype=np.float64)
         found = many(np.atleast_2d(thetas))
-        for error in found.errors:
+        return found.checked()[0] if thetas.ndim < 2 else found.checked()
+
+    def checked(self) -> Floats:
+        """Return the outputs; raise the first error."""
+        for error in self.errors:
             if error is not None:
                 raise error
-        return found.outputs[0] if thetas.ndim < 2 else found.outputs
+        return self.outputs
 
 
 @dataclass(frozen=True)
@@ -104,15 +108,19 @@ class ObservedModel:
         each = [self.driven(thetas[i, own], values[i])[0] for i in first.tolist()]
         return np.concatenate([one.outputs for one in each])[back], tuple(each[i].errors[0] for i in back.tolist())
 
-    def driven(self, theta: Floats, values: Floats) -> tuple[Simulations, Floats]:
-        """Simulate the model with voltages behind readings, less drops; return its inputs."""
-        lines = self.map.lines(values)
-        inputs = self.inputs(lines)
-        found = self.simulate(theta[None], inputs)
-        if found.errors[0] is not None or not values[self.map.has_drop].any():
-            return found, inputs
-        for _ in range(SETTINGS.most):
+    def driven(self, theta: Floats, values: Floats, guess: Floats | None = None) -> tuple[Simulations, Floats]:
+        """Simulate the model with voltages behind readings, less drops; return its inputs.
+
+        The fixed point begins at currents (K, 2), if given.
+        """
+        lines, before = self.map.lines(values), guess
+        if before is None or not values[self.map.has_drop].any():
+            inputs = self.inputs(lines)
+            found = self.simulate(theta[None], inputs)
+            if found.errors[0] is not None or not values[self.map.has_drop].any():
+                return found, inputs
             before = self.currents(found.outputs[0])
+        for _ in range(SETTINGS.most):
             inputs = self.inputs(lines - self.map.drop(values, before))
             found = self.simulate(theta[None], inputs)
             if found.errors[0] is not None:
@@ -120,6 +128,7 @@ class ObservedModel:
             now = self.currents(found.outputs[0])
             if np.abs(now - before).max() <= SETTINGS.tolerance * np.abs(now).max():
                 return found, inputs
+            before = now
         sizes = zip(np.array(self.map.given.names)[self.map.has_drop], values[self.map.has_drop].tolist(), strict=True)
         text = "voltages that depend on the currents do not settle"
         error = SimulationError(self.experiment.source, np.nan, {str(name): size for name, size in sizes}, text)

@@ -271,3 +271,16 @@ def test_common_mode_excludes_parameters_of_single_records(plate: fmuid.System) 
     assert list(common_mode(result)) == ["g"]
     own = common_mode(result, parameters={"h": fmuid.Parameter(2.0)})
     assert own["h"].prior is None and own["g"].prior is not None
+
+
+@pytest.mark.parametrize("grid", [{"tau": [0.01, 0.025, 0.05]}, {"taw": [0.01, 0.02]}])
+def test_a_detail_alone_has_no_pairs_and_a_known_name(grid: dict[str, list[float]]) -> None:
+    coil, faulty = fmuid.datasets.coil(), fmuid.datasets.faulty_coil()
+    fault = fmuid.Fault(faulty.fmu, {"dR": faulty.parameters["dR"]}, nuisance=grid)
+    healthy = fmuid.identify(coil.problem())
+    if "taw" in grid:
+        with pytest.raises(fmuid.InputError, match=r"fault 'turns': .*no nuisance variable 'taw' .*'tau'"):
+            fmuid.diagnose(faulty.experiment, healthy, {"turns": fault}, coil.fmu)
+        return
+    size = fmuid.diagnose(faulty.experiment, healthy, {"turns": fault}, coil.fmu)["turns.dR"]
+    assert abs(size.value - faulty.truth["dR"]) < 4 * size.std

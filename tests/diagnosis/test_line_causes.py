@@ -88,3 +88,20 @@ def test_sensors_and_lines_are_no_fault(cause: str, errors: dict[str, Any]) -> N
     found = fmuid.diagnose(experiment(4, noise=NOISE, **errors), baseline, rotor(), system())
     assert found.kind == "other"
     assert [each.label for each in found.evidence.explanations[0].changes] == [cause]
+
+
+def test_derivatives_include_the_change_of_the_drops() -> None:
+    """At a joint, dead time and supply error: differences of whole fixed points."""
+    made = coordinates()
+    machine = LinearizedMachine(system(), {}, made, experiment(count=600))
+    point, names = made.healthy.copy(), [each.name for each in made.each]
+    for name, size in {"joint(b)": 0.9, "dead time": 2.0, "input gain(uc)": 0.02, "input gain(w)": 0.01}.items():
+        point[names.index(name)] = size
+    outputs, columns = machine.linearize(point)
+    np.testing.assert_array_equal(outputs, machine.outputs(point))
+    plain = LinearizedMachine(system(), {}, made, experiment(count=600))
+    for name in ("Rs", "Lf", "joint(a)", "dead time", "input gain(uc)", "input gain(w)"):
+        i = names.index(name)
+        low, high = (plain.outputs(point + side * made.each[i].step * np.eye(point.size)[i]) for side in (-1, 1))
+        expected = (high - low) / (2.0 * made.each[i].step)
+        np.testing.assert_allclose(columns[:, :, i], expected, rtol=0, atol=1e-3 * np.abs(expected).max(), err_msg=name)
