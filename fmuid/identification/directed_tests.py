@@ -21,7 +21,6 @@ from fmuid.estimation import LeastSquares, ResidualNoise, Result, augmented
 from fmuid.identification.acquisition_delay import DELAY_PRIOR, delay_columns
 from fmuid.identification.feedback import find_feedback
 from fmuid.identification.model_errors import (
-    AHEAD,
     LEVEL,
     DirectedTest,
     Direction,
@@ -231,10 +230,7 @@ def find_model_errors(problem: LeastSquares, result: Result) -> ModelErrors | No
         errors.append(ModelError(strongest, tuple(alternatives)))
         known.append(found.index(strongest))
         found = score_directions(rows, known)
-    feedback = find_feedback(problem, rows.innovations)
-    if feedback is not None and not (errors and errors[0].kinds & AHEAD):
-        errors = []
-    return ModelErrors(result.names, tuple(first), tuple(errors), feedback=feedback)
+    return ModelErrors(result.names, tuple(first), tuple(errors), feedback=find_feedback(problem, rows.innovations))
 
 
 def _is_alternative(test: DirectedTest, strongest: DirectedTest) -> bool:

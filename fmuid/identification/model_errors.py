@@ -88,8 +88,6 @@ OUTPUT_DELAYS = frozenset({ErrorKind.DELAY, ErrorKind.ADVANCE, ErrorKind.LAG, Er
 DELAYS = (OUTPUT_DELAYS | {ErrorKind.INPUT_DELAY, ErrorKind.INPUT_ADVANCE}) - {ErrorKind.CLOCK}
 
 
-AHEAD = frozenset({ErrorKind.ADVANCE, ErrorKind.INPUT_ADVANCE, ErrorKind.CLOCK, ErrorKind.INTERPOLATION})
-"""Outputs that run ahead of the inputs, as in a closed loop the residual does."""
 UNSURE = frozenset({ErrorKind.ADVANCE, ErrorKind.INPUT_ADVANCE, ErrorKind.CLOCK})
 """Errors of several causes: a path that the model lacks, or a wrong clock; lost samples are no slow clock."""
 RARE = frozenset({ErrorKind.CLOCK, ErrorKind.ZERO_DRIFT, ErrorKind.NONLINEARITY, ErrorKind.HYSTERESIS})
@@ -286,7 +284,7 @@ class ModelErrors:
     process_noise : ProcessNoise or None
         Disturbance that explains the color of the residuals.
     feedback : Feedback or None
-        An input that follows the residual; then errors have no names.
+        An input that follows the residual; where it does beside freed errors, too, they have no names.
     """
 
     names: tuple[str, ...]
