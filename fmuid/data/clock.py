@@ -133,7 +133,7 @@ def with_time(
 def _by_the_lines_above(raw: RawTable, name: str, step: float, source: str) -> TimedTable:
     """Return a table at the times said above the header."""
     rows = len(raw.frame)
-    if raw.rows is not None and raw.rows != rows:
+    if raw.rows and rows % raw.rows:  # loggers write several times
         said = f"{rows} rows of samples, {raw.rows} by the lines above the header"
         raise InputError(f"{source}: {said}. Write the whole file again, or set sample_rate.")
     count = raw.frame.iloc[:, 0]

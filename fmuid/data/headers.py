@@ -194,7 +194,9 @@ def find_head(rows: Sequence[Sequence[Cell]], decimal: str = ".") -> TableHeader
     if not begins:
         return None
     ends = [*begins[1:], len(rows)]
-    lengths = [sum(len(row) == len(rows[a]) for row in rows[a:b]) for a, b in zip(begins, ends, strict=True)]
+    lengths = [
+        sum(len(rows[k]) == len(rows[a]) and numeric[k] for k in range(a, b)) for a, b in zip(begins, ends, strict=True)
+    ]
     first = begins[lengths.index(max(lengths))]
     above = first - 1
     while above >= 0 and not numeric[above] and len(rows[above]) == len(rows[first]):
@@ -203,7 +205,7 @@ def find_head(rows: Sequence[Sequence[Cell]], decimal: str = ".") -> TableHeader
     index, *others = _texts(rows[header])
     if index.lower() in TIME_NAMES and not any(others) and all(top):  # pandas names an index below several header rows
         return TableHeader((index, *top[1:]), (), first)
-    step = _step_said(rows[:first])
+    step = _step_said(rows[:first], decimal)
     for k in range(above + 2, first):
         if _are_units(rows[k]):
             return TableHeader(_texts(rows[k - 1]), _texts(rows[k]), first, step, _rows_said(rows[:first]))
@@ -226,7 +228,7 @@ def _units_said(rows: Sequence[Sequence[Cell]], names: Sequence[str]) -> tuple[s
         known = sum(is_unit(unit) for unit in units if unit)
         if key.lower() not in _UNIT_KEYS or known == 0:
             continue
-        places = [k for k, name in enumerate(names) if k and not is_time_name(name)]
+        places = [k for k, name in enumerate(names) if k and name and not is_time_name(name)]
         places = places if len(units) == len(places) else [*range(1, len(names))]
         if len(units) == len(places) or len(units) < len(names) <= len(row):
             said = dict(zip(places, units, strict=False))
@@ -257,10 +259,10 @@ def _rows_said(rows: Sequence[Sequence[Cell]]) -> int | None:
     return next((int(said[key]) for key in _COUNT_KEYS if said.get(key, "").isdecimal()), None)
 
 
-def _step_said(rows: Sequence[Sequence[Cell]]) -> float | None:
+def _step_said(rows: Sequence[Sequence[Cell]], decimal: str) -> float | None:
     """Return the time between samples that lines above the header say, s."""
     for key, text in _said(rows):
-        found = _WITH_TIME_UNIT.fullmatch(text)
+        found = _WITH_TIME_UNIT.fullmatch(text.replace(decimal, "."))
         if found is None or key not in (*_STEP_KEYS, *_RATE_KEYS):
             continue
         value, unit = float(found["number"]), found["unit"]

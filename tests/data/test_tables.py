@@ -205,6 +205,42 @@ def test_a_place_of_the_time_beside_a_column_of_that_name(tmp_path: Path) -> Non
     assert [*read_data(path, 2)["time"]] == [1.0, 2.0]
 
 
+LABVIEW = """LabVIEW Measurement\t
+Writer_Version\t2
+Decimal_Separator\t,
+X_Columns\t{columns}
+Date\t2013/02/19
+***End_of_Header***\t
+\t
+Channels\t2\t\t
+Samples\t{samples}\t
+Y_Unit_Label\t{units}\t
+X_Dimension\tTime\tTime\t
+X0\t0,0E+0\t0,0E+0\t
+Delta_X\t0,25\t0,25\t
+***End_of_Header***\t\t\t
+"""
+
+
+def test_short_texts_of_labview(tmp_path: Path) -> None:
+    """Lines above the header outnumber the samples; a number of samples counts those of each writing."""
+    path = tmp_path / "a.lvm"
+    head = LABVIEW.format(columns="No", samples="2\t2", units="mA\tm/s^2") + "X_Value\ti\ta\tComment\n"
+    path.write_text(head + "".join(f"\t{k},5\t{k},25\n" for k in range(4)))
+    frame = read_data(path)
+    assert frame.attrs["units"] == {"i": "mA", "a": "m/s^2"}
+    np.testing.assert_array_equal(frame["i"], [0.5, 1.5, 2.5, 3.5])
+    np.testing.assert_array_equal(frame["time"], [0.0, 0.25, 0.5, 0.75])
+    path.write_text(head + "".join(f"\t{k},5\t{k},25\n" for k in range(3)))
+    with pytest.raises(InputError, match="3 rows of samples, 2 by the lines above"):
+        read_data(path)
+    head = LABVIEW.format(columns="Multi", samples="3\t\t3", units="Volts\t\tg") + "X_Value\tu\tX_Value\ta\tComment\n"
+    path.write_text(head + "".join(f"{k},0\t{k},5\t{k},0\t{k},25\n" for k in range(3)))
+    frame = read_data(path)
+    assert frame.attrs["units"] | {"X_Value 2": ""} == {"u": "Volts", "a": "g", "X_Value 2": ""}
+    np.testing.assert_array_equal(frame["a"], [0.25, 1.25, 2.25])
+
+
 def test_text_far_down_a_long_table(tmp_path: Path) -> None:
     """Pandas reads long tables in parts, of which each may have a type of its own."""
     rows = [f"{k / 1000},{k % 17}" for k in range(100_000)]

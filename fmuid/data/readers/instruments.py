@@ -51,6 +51,18 @@ def _modelica(lines: Sequence[str], source: str) -> Iterator[str]:
     yield from rows
 
 
+def _labview(lines: Sequence[str], _source: str) -> Iterator[str]:
+    """Yield a LabVIEW measurement: of the lines above the header only samples, interval and units."""
+    ends = [k for k, line in enumerate(lines[:100]) if line.startswith("***End_of_Header***")]
+    settings, (head, *rows) = lines[: ends[-1]], lines[ends[-1] + 1 :]
+    mark = "\t" if "\t" in head else ","
+    commented = any(row.count(mark) >= head.count(mark) for row in rows[:100])
+    for key in ("Samples", "Delta_X", "Y_Unit_Label"):
+        yield from (line if commented else line.rstrip(mark) for line in settings if line.startswith(key + mark))
+    yield head if commented else head.removesuffix(f"{mark}Comment")
+    yield from rows
+
+
 def _check_count(found: int, said: str, source: str) -> None:
     """Refuse a table with fewer rows than its head says."""
     count = float(said or found)
@@ -60,6 +72,7 @@ def _check_count(found: int, said: str, source: str) -> None:
 
 _LAYOUTS: tuple[tuple[re.Pattern[str], Callable[[Sequence[str], str], Iterator[str]]], ...] = (
     (re.compile(r'"?Record Length"?,[^,\n]*,[^,\n]*,[^,\n]*\d,[^,\n]*\d', re.IGNORECASE), _one_channel),
+    (re.compile(r"LabVIEW Measurement\b"), _labview),
     (re.compile(r"X,.*\bStart,Increment\b.*\n"), _numbered),
     (re.compile(r"#1\s*\n(?:\s*#.*\n|\s*\n)*\s*(?:double|float)\s"), _modelica),
 )
