@@ -1,8 +1,8 @@
 """Test for feedback: inputs that follow the noise of outputs (docs/method/directed-tests.md).
 
 An input is predicted from its own past and that of the other inputs. In open loop, innovations of the residual predict
-it no better (Caines and Chan, IEEE Trans. Autom. Control 20, 1975). Large model errors do where they tell the time since
-the last step of an input: they are freed first.
+it no better (Caines and Chan, IEEE Trans. Autom. Control 20, 1975). Large model errors do where they tell the time
+since the last step of an input: they are freed first.
 """
 
 from __future__ import annotations
