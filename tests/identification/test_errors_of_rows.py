@@ -9,6 +9,7 @@ import pytest
 import fmuid
 from fmuid.data import FrequencyExperiment, Response, RotatingFrame, SteadyExperiment
 from fmuid.identification import ErrorKind, find_model_errors
+from fmuid.identification.data_defects import DefectKind, find_data_defects
 from tests.support.paths import FMUS
 from tests.support.resting import MACHINE, induction_machine
 
@@ -83,3 +84,22 @@ def test_a_gain_of_a_response_is_named() -> None:
 def test_rows_without_errors_raise_no_alarm() -> None:
     """The level is 1 %: two of 40 draws are rare."""
     assert sum(bool(found_in(load_points(100 + seed))) for seed in range(40)) <= 2
+
+
+@pytest.mark.parametrize("relative", [True, False])
+def test_noise_of_load_points_that_follows_its_signal_is_in_their_intervals(relative: bool) -> None:
+    """σ of R against its closed form; the regression i = u/R needs no FMU."""
+    voltages = np.linspace(0.5, 12.0, 80)
+    current = voltages / 4.0
+    std = 0.01 * (current if relative else np.full(80, np.sqrt(np.mean(current**2))))
+    slope = current / 4.0
+    expected = np.sqrt(np.sum((slope * std) ** 2)) / np.sum(slope**2)
+    found, uneven = [], 0
+    for seed in range(10):
+        table = pd.DataFrame({"u": voltages, "i": current + std * np.random.default_rng(seed).standard_normal(80)})
+        problem = fmuid.Problem(COIL.fmu, SteadyExperiment(table, ["u"], ["i"]), {"R": FREE["R"]})
+        result = fmuid.identify(problem)
+        found.append(result.std[0])
+        uneven += any(each.kind is DefectKind.UNEVEN for each in find_data_defects(problem, result))
+    assert np.mean(found) == pytest.approx(expected, rel=0.08)
+    assert uneven >= 8 if relative else uneven <= 1

@@ -41,18 +41,20 @@ def uneven_levels(models: Sequence[NoiseModel], residual: Floats, simulated: Flo
     found, any_uneven = np.ones(len(residual)), False
     for each in models:
         rows = each.series.rows
-        if not each.series.ordered or len(rows) < SETTINGS.least_samples or not np.isfinite(simulated[rows]).all():
+        if len(rows) < SETTINGS.least_samples or not np.isfinite(simulated[rows]).all():
             continue
-        variance = _variance(each.whiten(residual[rows]) ** 2, simulated[rows], SETTINGS.level / len(models))
+        squares, level = each.whiten(residual[rows]) ** 2, SETTINGS.level / len(models)
+        variance = _variance(squares, simulated[rows], level, ordered=each.series.ordered)
         if variance is not None:
             found[rows], any_uneven = np.sqrt(variance), True
     return found if any_uneven else None
 
 
-def _variance(squares: Floats, signal: Floats, level: float) -> Floats | None:
-    """Return the relative variance of each sample (n,), None if constant."""
+def _variance(squares: Floats, signal: Floats, level: float, *, ordered: bool) -> Floats | None:
+    """Return the relative variance of each sample (n,), None if constant; rows without order have no slope."""
     signal = signal / max(float(np.abs(signal).max()), 1e-300)  # squares of any unit
-    signals = (signal**2, np.gradient(signal) ** 2, np.arange(len(signal), dtype=np.float64))
+    signals = [signal**2]
+    signals += [np.gradient(signal) ** 2, np.arange(len(signal), dtype=np.float64)] if ordered else []
     columns = [each - each.mean() for each in signals if np.ptp(each) > 0.0]
     centered = squares - squares.mean()
     if not columns or not centered.any():
