@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,7 @@ from fmuid.data import RotatingFrame, SteadyExperiment
 from fmuid.errors import FmuidError
 from fmuid.models import System
 from fmuid.simulation import AnySimulator, simulator_of
+from tests.support.packing import pack
 from tests.support.paths import FMUS
 from tests.support.resting import (
     ADDING,
@@ -108,6 +111,27 @@ def test_coupled_fmus_are_simulated_until_still() -> None:
     experiment = SteadyExperiment(frame, ["a.u"], ["b.i"])
     simulator = simulator_of(pair, experiment, ["a.R", "b.R"])
     np.testing.assert_allclose(simulator([4.0, 2.0])[:, 0], [1.0, 4.0], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("resistance", "expected"),
+    [(4.0, [0.5, 2.0]), pytest.param(0.0, "row 1: outputs do not come to rest", marks=pytest.mark.slow)],
+)
+def test_co_simulation_alone_is_simulated_until_still(
+    tmp_path: Path, resistance: float, expected: list[float] | str
+) -> None:
+    with zipfile.ZipFile(FMUS / "Coil/Coil.fmu") as archive:
+        texts = {name: archive.read(name) for name in archive.namelist()}
+    description = texts["modelDescription.xml"]
+    alone = re.sub(rb"<ModelExchange .*?</ModelExchange>", b"", description, flags=re.DOTALL)
+    assert alone != description
+    fmu = pack(tmp_path / "Alone.fmu", *{**texts, "modelDescription.xml": alone}.items())
+    simulator = steady(fmu, {"u": [2.0, 8.0]}, ["R"], ["i"])
+    if isinstance(expected, list):
+        np.testing.assert_allclose(simulator([resistance])[:, 0], expected, rtol=1e-6)
+        return
+    with pytest.raises(FmuidError, match=expected):
+        simulator([resistance])
 
 
 @pytest.mark.slow
