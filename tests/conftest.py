@@ -4,7 +4,7 @@
 
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -114,3 +114,18 @@ def probe(tmp_path_factory: pytest.TempPathFactory) -> ProbeMaker:
         return write_fmu(folder / f"probe{abs(hash((defines, xml)))}.fmu", xml, source, *flags)
 
     return make
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Return an exporter of the models in `tests.support.resting`, each once."""
+    from tests.support.exported import export_text
+
+    folder, known = tmp_path_factory.mktemp("resting"), dict[str, Path]()
+
+    def export(text: str) -> Path:
+        if text not in known:
+            known[text] = export_text(folder, text)
+        return known[text]
+
+    return export

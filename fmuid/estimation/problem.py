@@ -174,6 +174,10 @@ class LeastSquares:
         """Return the process noise of a result; functions have none."""
         return None
 
+    def doubtful_rows(self, result: Any) -> dict[str, tuple[int, str]]:  # noqa: ARG002 - systems have
+        """Return the first doubtful row (from 0) of experiments, with reason."""
+        return {}
+
     def measuring(self, experiments: Sequence[Experiment], parameters: Mapping[str, Parameter] | None = None) -> Self:
         """Return this problem with other measured values, and other initial guesses."""
         other = copy.copy(self)

@@ -1,4 +1,4 @@
-"""Defects of recorded outputs: coarse steps, clipping, repeated samples, hum, uneven noise."""
+"""Defects of recorded outputs: coarse steps, clipping, repeated samples, hum, uneven noise, doubtful rows."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.estimation import LeastSquares, NoiseModel, Result, spectral_lines
+from fmuid.identification.outlying_rows import find_outlying_rows, repeated_shares
 
 AnyProblem = TypeVar("AnyProblem", bound=LeastSquares)
 
@@ -41,6 +42,10 @@ class DefectKind(Enum):
     EXCLUDED = "excluded"  # clipped stretches do not count
     REPEATED = "repeated"
     HUM = "hum"  # a line of the residual: σ allows for it
+    OUTLYING = "outlying"  # rows without a time that the model does not reach
+    TWICE = "twice"  # such rows that stand twice, to the last digit
+    SEVERAL = "several"  # stable steady states of a row at the estimates
+    EVENT = "event"  # at the steady state of a row
     UNEVEN = "uneven"  # the noise variance follows the signal, its slope or the time: σ allows for it
 
     @property
@@ -58,8 +63,8 @@ class DataDefect:
     kind : DefectKind
     output, experiment : str
     values : mapping of str to float
-        ``ratio`` of step to residual std; ``limit`` and ``samples``; ``share``;
-        ``factor`` of std, 95 to 5 %; ``frequency``, Hz.
+        ``ratio`` of step to residual std; ``limit`` and ``samples``; ``share``; worst ``row``, its ``size`` in σ and
+        number of ``rows``; ``factor`` of std, 95 to 5 %; ``frequency``, Hz.
     """
 
     kind: DefectKind
@@ -73,7 +78,7 @@ def find_data_defects(problem: LeastSquares, result: Result) -> tuple[DataDefect
     noise = result.fit.noise
     if noise is None:
         return ()
-    found = []
+    found = list(_of_rows(problem, result))
     for model in noise.models:
         index = [each.name for each in problem.experiments].index(model.series.experiment)
         experiment, simulated = problem.experiments[index], result.fit.simulated[index]
@@ -85,6 +90,17 @@ def find_data_defects(problem: LeastSquares, result: Result) -> tuple[DataDefect
                 _defects(model, measured, own, None if noise.levels is None else noise.levels[model.series.rows])
             )
     return tuple(found)
+
+
+def _of_rows(problem: LeastSquares, result: Result) -> Iterator[DataDefect]:
+    """Yield defects of rows without a time."""
+    for each in find_outlying_rows(problem, result):
+        values = {"row": each.rows[0] + 1.0, "rows": float(len(each.rows)), "size": each.size}
+        yield DataDefect(DefectKind.OUTLYING, each.output, each.experiment, values)
+    for name, share in repeated_shares(problem).items():
+        yield DataDefect(DefectKind.TWICE, "", name, {"share": share})
+    for name, (row, issue) in problem.doubtful_rows(result).items():
+        yield DataDefect(DefectKind(issue), "", name, {"row": row + 1.0})
 
 
 def _defects(model: NoiseModel, measured: Floats, simulated: Floats, levels: Floats | None) -> Iterator[DataDefect]:

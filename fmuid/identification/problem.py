@@ -20,6 +20,7 @@ from fmuid.models import FMU, System
 from fmuid.simulation import (
     AS_ASKED,
     AnySimulator,
+    PointSimulator,
     Refinement,
     Simulator,
     Value,
@@ -238,6 +239,13 @@ class Problem(LeastSquares):
 
         own = self.as_in(result)
         return None if self.corrected else process_noise_of(own, own.simulators, result)
+
+    def doubtful_rows(self, result: Result) -> dict[str, tuple[int, str]]:
+        """Return rows with several steady states or an event, with reason."""
+        own = self.as_in(result)
+        points = (each for each in own.simulators if isinstance(each, PointSimulator))
+        found = {each.experiment.name: each.issue_at(result.values) for each in points}
+        return {name: issue for name, issue in found.items() if issue is not None}
 
     @property
     def made_with(self) -> ModelReference:

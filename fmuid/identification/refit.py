@@ -118,6 +118,11 @@ class CorrectedProblem(LeastSquares):
         noise: ProcessNoise | None = base.process_noise(without_sizes(result, len(base.parameters)))
         return noise
 
+    def doubtful_rows(self, result: Result) -> dict[str, tuple[int, str]]:
+        """Return the doubtful rows of the model itself."""
+        base: LeastSquares = vars(self)["base"]
+        return base.doubtful_rows(without_sizes(result, len(base.parameters)))
+
 
 def without_sizes(result: Result, count: int) -> Result:
     """Return a result with its first parameters alone: the others are sizes of errors."""

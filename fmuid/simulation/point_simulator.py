@@ -57,6 +57,10 @@ class PointSimulator(ABC):
         """Outputs, in order of the last axis."""
         return self.experiment.output_names
 
+    def issue_at(self, theta: Floats) -> tuple[int, str] | None:  # noqa: ARG002 - steady states have
+        """Return the first doubtful row (from 0) at theta (N,), with reason."""
+        return None
+
     def over(self, experiment: Experiment, parameters: Sequence[str] | None = None) -> Self:
         """Return the simulator of a like experiment, or of other parameters."""
         names = self.parameters if parameters is None else tuple(parameters)

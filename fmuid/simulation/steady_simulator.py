@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from fmuid.array_types import Floats
+from fmuid.array_types import Flags, Floats
 from fmuid.data import SteadyExperiment
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
@@ -16,13 +16,13 @@ from fmuid.simulation.point_model import ModelOfPoints, PointModel
 from fmuid.simulation.point_simulator import PointSimulator
 from fmuid.simulation.settled_simulation import SettledSimulation
 from fmuid.simulation.simulation_task import column_conversion
-from fmuid.simulation.steady_state import SteadyIssue, SteadyStates, find_steady_states, first_issue
+from fmuid.simulation.steady_state import SteadyIssue, SteadyStates, find_steady_states, first_issue, is_unstable
 from fmuid.units import parse_unit
 
 REASONS = {
     SteadyIssue.NONE: "no steady state. Change the inputs or set guess",
     SteadyIssue.SEVERAL: "several steady states. Set guess near the right one",
-    SteadyIssue.UNSTABLE: "the steady state is unstable. Remove the row",
+    SteadyIssue.UNSTABLE: "the steady state is unstable. Change guess or remove the row",
     SteadyIssue.EVENT: "an event at the steady state. Remove the row",
     SteadyIssue.MOVING: "outputs do not come to rest. Remove the row",
 }
@@ -79,6 +79,17 @@ class SteadySimulator(PointSimulator):
                 outputs[i] = self._outputs(signals)
         return outputs, reasons
 
+    def issue_at(self, theta: Floats) -> tuple[int, str] | None:
+        """As of `PointSimulator`: an event, else one of several steady states."""
+        if self._points is None:
+            return None
+        self._is_checked = False
+        _, issue, _ = self._solve(self._points, theta, None)
+        if issue is None:
+            return None
+        row, found = issue
+        return row, (found if found is SteadyIssue.EVENT else SteadyIssue.SEVERAL).value
+
     def _settle(self, theta: Floats) -> tuple[Floats, tuple[int, SteadyIssue] | None]:
         found = np.full((len(self.experiment.times), len(self.signals)), np.nan)
         for row in range(len(found)):
@@ -95,10 +106,11 @@ class SteadySimulator(PointSimulator):
         found = find_steady_states(points, theta, self._start(points, theta) if near is None else near)
         if near is not None and not found.found.all():
             found = find_steady_states(points, theta, self._start(points, theta))
-        if not found.found.all():
-            found = self._from_simulations(points, theta, found)
+        lost = ~found.found | (is_unstable(found.models) & (not self.experiment.guess))
+        if lost.any():
+            found = self._from_simulations(points, theta, found, lost)
         issue = first_issue(points, theta, found, first=not self._is_checked, second=not self.experiment.guess)
-        self._is_checked = issue is None
+        self._is_checked |= issue is None
         return found.models.outputs[0], issue, found.states if issue is None else near
 
     def _start(self, points: PointModel, theta: Floats) -> Floats:
@@ -111,10 +123,10 @@ class SteadySimulator(PointSimulator):
             start[points.states.index(name)] = value
         return np.tile(start, (len(self.experiment.times), 1))
 
-    def _from_simulations(self, points: PointModel, theta: Floats, found: SteadyStates) -> SteadyStates:
+    def _from_simulations(self, points: PointModel, theta: Floats, found: SteadyStates, lost: Flags) -> SteadyStates:
         assert self.model is not None, "there are points"
         start, simulation = found.states.copy(), SettledSimulation(self.model, self._inputs, points.states, self._units)
-        for row in np.flatnonzero(~found.found):
+        for row in np.flatnonzero(lost):
             states = simulation.rest(int(row), theta)
             if states is None:
                 return found

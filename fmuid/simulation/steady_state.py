@@ -1,7 +1,8 @@
 """Steady states: all derivatives of the states are zero.
 
-Damped Newton iterations with the natural monotonicity test (Deuflhard, Newton Methods for Nonlinear Problems, 2004,
-section 3.3), all rows at once.
+Newton steps while they contract, else linearly implicit Euler steps, which follow the transient into its own steady
+state (pseudo-transient continuation: Deuflhard, Newton Methods for Nonlinear Problems, 2004, section 6.4); all rows
+at once.
 """
 
 from __future__ import annotations
@@ -21,7 +22,10 @@ class NewtonSettings:
 
     most_iterations: int = 60
     tolerance: float = 1e-9  # last step, relative to state or nominal value; the next would be its square
-    least_damping: float = 1e-4
+    contraction: float = 0.5  # largest correction of a step, relative to it (Newton-Mysovskikh)
+    change: tuple[float, float] = (0.1, 100.0)  # of the time step, at once
+    longest: float = 1e8  # time step over the first; a longer one is a Newton step
+    least_step: float = 1e-6  # time step over the first: shorter ones lead nowhere
     singular: float = 1e-12  # smallest singular value of A in nominal values
     rest: float = 1e-9  # rate that no step changes, over the largest of its terms
     same: float = 1e-6  # relative difference of two solutions that are one
@@ -57,39 +61,52 @@ class SteadyStates:
 
 def find_steady_states(model: PointModel, theta: Floats, start: Floats) -> SteadyStates:
     """Return the steady states from start (K, n_x); rows that end at none begin again at a neighbor's solution."""
-    found = _newton(model, theta, start)
+    found = _settle(model, theta, start)
     if found.found.any() and not found.found.all():
         near = np.flatnonzero(found.found)
         nearest = near[np.abs(np.arange(len(start))[:, None] - near).argmin(axis=1)]
-        return _newton(model, theta, np.where(found.found[:, None], found.states, found.states[nearest]))
+        return _settle(model, theta, np.where(found.found[:, None], found.states, found.states[nearest]))
     return found
 
 
-def _newton(model: PointModel, theta: Floats, start: Floats) -> SteadyStates:
-    """Iterate all rows, each with its own damping."""
+def _settle(model: PointModel, theta: Floats, start: Floats) -> SteadyStates:
+    """Iterate all rows, each with its own time step."""
     thetas, states = theta[None], start.copy()
-    scale = np.maximum(np.abs(states), model.nominals)
     models = model.at(states, thetas)
-    steps, damping = _steps(models, models.rates[0], scale), np.ones(len(states))
+    scale = np.maximum(np.abs(states), model.nominals)
+    first = _first_time_step(models, scale)
+    step, last = np.full(len(states), np.inf), first
     done, lost = np.zeros((2, len(states)), dtype=np.bool_)
     for _ in range(SETTINGS.most_iterations):
-        sizes = _norm(steps / scale)
-        done |= sizes <= SETTINGS.tolerance
-        lost |= ~np.isfinite(sizes) | (damping < SETTINGS.least_damping)
+        moves = _moves(models, models.rates[0], scale, step)
+        sizes = _norm(moves / scale)
+        newton, small = np.isinf(step), sizes <= SETTINGS.tolerance
+        done |= newton & small
+        lost |= ~np.isfinite(models.rates[0]).all(axis=1) | (step < SETTINGS.least_step * first)
         moving = ~done & ~lost
         if not moving.any():
             break
-        trial = np.where(moving[:, None], states + damping[:, None] * steps, states)
+        trial = np.where(moving[:, None], states + np.nan_to_num(moves), states)
         others = model.at(trial, thetas)
-        bar = _steps(models, others.rates[0], scale)
-        better = moving & (_norm(bar / scale) <= (1.0 - 0.25 * damping) * sizes)
-        damping = np.where(better, np.minimum(1.0, 2.0 * damping), np.where(moving, 0.5 * damping, damping))
+        late = others.rates[0] - np.where(newton[:, None], 0.0, moves / np.where(newton, 1.0, step)[:, None])
+        contraction = _norm(_moves(models, late, scale, step) / scale) / np.maximum(sizes, 1e-300)
+        better = moving & ((contraction <= SETTINGS.contraction) | (small & ~newton))
+        change = np.clip(0.5 * SETTINGS.contraction / np.maximum(contraction, 1e-9), *SETTINGS.change)
+        longer = np.where(small | (step * change > SETTINGS.longest * first), np.inf, step * change)
+        last = np.where(better & ~newton, step, np.where(newton, last, np.fmin(change, 0.5) * step))
+        step = np.where(better, longer, np.where(moving, last, step))
         states = np.where(better[:, None], trial, states)
         models = _chosen(better, others, models)
         scale = np.maximum(np.abs(states), model.nominals)
-        steps = np.where(better[:, None], _steps(models, models.rates[0], scale), steps)
-    final = np.where(done[:, None], states + np.nan_to_num(steps), states)  # by the square of a small step nearer
+    final = np.where(done[:, None], states + np.nan_to_num(moves), states)  # by the square of a small step nearer
     return SteadyStates(final, model.at(final, thetas), done)
+
+
+def _first_time_step(models: StateSpace, scale: Floats) -> Floats:
+    """Return a time step (K,) within which rates and states change little."""
+    scaled = np.abs(models.a[0] * scale[:, None] / scale[:, :, None]).sum(axis=2)
+    rates = np.abs(models.rates[0]) / scale
+    return np.asarray(1.0 / np.maximum(np.nan_to_num(np.maximum(scaled, rates)).max(axis=1, initial=0.0), 1e-300))
 
 
 def is_at_rest(models: StateSpace, scale: Floats) -> Flags:
@@ -98,7 +115,19 @@ def is_at_rest(models: StateSpace, scale: Floats) -> Flags:
     return np.asarray((np.abs(models.rates) <= SETTINGS.rest * rows).all(axis=(1, 2)))
 
 
-def _steps(models: StateSpace, rates: Floats, scale: Floats) -> Floats:
+def _moves(models: StateSpace, rates: Floats, scale: Floats, step: Floats) -> Floats:
+    """Return linearly implicit Euler steps (K, n_x); of infinite time, Newton steps."""
+    finite = np.isfinite(step)
+    if not finite.any():
+        return _newton_steps(models, rates, scale)
+    scaled = np.nan_to_num(models.a[0] * scale[:, None] / scale[:, :, None])
+    times = np.where(finite, step, 1.0)[:, None]
+    matrices = np.eye(scale.shape[1]) - times[..., None] * scaled * finite[:, None, None]
+    euler = scale * np.linalg.solve(matrices, (times * np.nan_to_num(rates) / scale)[..., None])[..., 0]
+    return np.where(finite[:, None], euler, _newton_steps(models, rates, scale))
+
+
+def _newton_steps(models: StateSpace, rates: Floats, scale: Floats) -> Floats:
     """Return Newton's steps (K, n_x), the shortest where A is singular; NaN where no step makes the rates zero."""
     scaled = models.a[0] * scale[:, None]
     rows = np.abs(scaled).max(axis=2)
@@ -133,22 +162,24 @@ def first_issue(
 
     At the `first` theta, events are sought, and with `second` other starts.
     """
-    values = np.linalg.eigvals(np.nan_to_num(found.models.a[0]))
-    largest = np.abs(values).max(axis=1, initial=0.0)
-    tests = [
-        (~found.found, SteadyIssue.NONE),
-        ((values.real > SETTINGS.unstable * largest[:, None]).any(axis=1), SteadyIssue.UNSTABLE),
-    ]
+    tests = [(~found.found, SteadyIssue.NONE), (is_unstable(found.models), SteadyIssue.UNSTABLE)]
     if first:
         tests.append((model.events(found.states, theta), SteadyIssue.EVENT))
         tests += [(_differs(model, theta, found, sign), SteadyIssue.SEVERAL) for sign in (1.0, -1.0) if second]
     return next(((int(rows.argmax()), issue) for rows, issue in tests if rows.any()), None)
 
 
+def is_unstable(models: StateSpace) -> Flags:
+    """Return whether a state of each row (K,) grows."""
+    values = np.linalg.eigvals(np.nan_to_num(models.a[0]))
+    largest = np.abs(values).max(axis=1, initial=0.0)
+    return np.asarray((values.real > SETTINGS.unstable * largest[:, None]).any(axis=1))
+
+
 def _differs(model: PointModel, theta: Floats, found: SteadyStates, sign: float) -> Flags:
     """Return whether each row (K,) has another stable steady state."""
     scale = np.maximum(np.abs(found.states), model.nominals)
-    other = _newton(model, theta, found.states + sign * SETTINGS.away * scale)
+    other = _settle(model, theta, found.states + sign * SETTINGS.away * scale)
     apart = other.found & (_norm((other.states - found.states) / scale) > SETTINGS.same)
     real = np.linalg.eigvals(np.nan_to_num(other.models.a[0])).real
     return np.asarray(apart & (real < 0.0).all(axis=1))

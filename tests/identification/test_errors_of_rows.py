@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -10,8 +13,9 @@ import fmuid
 from fmuid.data import FrequencyExperiment, Response, RotatingFrame, SteadyExperiment
 from fmuid.identification import ErrorKind, find_model_errors
 from fmuid.identification.data_defects import DefectKind, find_data_defects
+from fmuid.identification.outlying_rows import find_outlying_rows
 from tests.support.paths import FMUS
-from tests.support.resting import MACHINE, induction_machine
+from tests.support.resting import BISTABLE, MACHINE, induction_machine
 
 COIL = fmuid.datasets.coil()
 FREE = {"R": fmuid.Parameter(3.0, min=0.1), "L": fmuid.Parameter(0.2, min=0.01)}
@@ -103,3 +107,58 @@ def test_noise_of_load_points_that_follows_its_signal_is_in_their_intervals(rela
         uneven += any(each.kind is DefectKind.UNEVEN for each in find_data_defects(problem, result))
     assert np.mean(found) == pytest.approx(expected, rel=0.08)
     assert uneven >= 8 if relative else uneven <= 1
+
+
+def lower_states(u: np.ndarray) -> np.ndarray:
+    """Return the lower stable roots of u + x - x³."""
+    roots = [np.roots([1.0, 0.0, -1.0, -each]) for each in u]
+    return np.array([min(each.real for each in found if abs(each.imag) < 1e-6) for found in roots])
+
+
+@pytest.mark.parametrize(("start", "rows"), [(0.85, 3), (0.9, 2), (1.05, 0)])
+def test_rows_that_leave_their_branch_are_outlying(made: Callable[[str], Path], start: float, rows: int) -> None:
+    """From low starts the lower state of the last rows does not exist, and the search stays there."""
+    u = np.linspace(-1.0, 0.38, 20)
+    table = pd.DataFrame({"u": u, "x": lower_states(u) + 0.01 * np.random.default_rng(0).standard_normal(20)})
+    experiment = SteadyExperiment(table, ["u"], ["x"], guess={"x": -1.0})
+    problem = fmuid.Problem(made(BISTABLE), experiment, {"a": fmuid.Parameter(start)})
+    found = find_data_defects(problem, fmuid.identify(problem))
+    assert [(each.kind, each.values["rows"]) for each in found] == ([(DefectKind.OUTLYING, rows)] if rows else [])
+
+
+def test_steady_states_are_checked_at_the_estimates(made: Callable[[str], Path]) -> None:
+    """The start has one state a row, the estimates two."""
+    u = np.linspace(0.2, 3.0, 12)
+    x = -lower_states(-u) + 0.001 * np.random.default_rng(0).standard_normal(12)
+    experiment = SteadyExperiment(pd.DataFrame({"u": u, "x": x}), ["u"], ["x"])
+    problem = fmuid.Problem(made(BISTABLE), experiment, {"a": fmuid.Parameter(-1.0)})
+    result = fmuid.identify(problem)
+    assert result.values == pytest.approx([1.0], abs=0.01)
+    assert [each.kind for each in find_data_defects(problem, result)] == [DefectKind.SEVERAL]
+
+
+def test_an_outlying_row_and_copied_rows_are_named() -> None:
+    voltages = np.linspace(2.0, 12.0, 9)
+    current = voltages / 4.0 + 0.002 * np.random.default_rng(3).standard_normal(9)
+    clean = pd.DataFrame({"u": voltages, "i": current})
+    typed = clean.assign(i=np.where(voltages == 7.0, 1.57, current))  # 1.75
+    found = {}
+    for name, table in (("clean", clean), ("typed", typed), ("copied", pd.concat([clean, clean[:3]]))):
+        problem = fmuid.Problem(COIL.fmu, SteadyExperiment(table, ["u"], ["i"]), {"R": FREE["R"]})
+        found[name] = find_data_defects(problem, fmuid.identify(problem))
+    assert not found["clean"]
+    (outlying,), (copied,) = found["typed"], found["copied"]
+    assert (outlying.kind, outlying.values["row"], outlying.values["rows"]) == (DefectKind.OUTLYING, 5.0, 1.0)
+    assert (copied.kind, copied.values) == (DefectKind.TWICE, {"share": 0.25})
+
+
+@pytest.mark.slow
+def test_clean_rows_are_not_outlying() -> None:
+    """The level is 1 %: of 300 draws at most 10 by the binomial test at 0.1 %."""
+    alarms = 0
+    for seed in range(300):
+        random, voltages = np.random.default_rng(seed), np.linspace(2.0, 12.0, (5, 9, 30)[seed % 3])
+        table = pd.DataFrame({"u": voltages, "i": voltages / 4.0 + 0.01 * random.standard_normal(voltages.size)})
+        problem = fmuid.Problem(COIL.fmu, SteadyExperiment(table, ["u"], ["i"]), {"R": FREE["R"]})
+        alarms += bool(find_outlying_rows(problem, fmuid.identify(problem)))
+    assert alarms <= 10

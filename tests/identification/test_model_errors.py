@@ -463,13 +463,13 @@ def damaged(kind: str, seed: int = 0) -> tuple[Problem, Result]:
     return problem, fmuid.identify(problem)
 
 
-@pytest.mark.parametrize("kind", [each for each in DefectKind if each is not DefectKind.EXCLUDED])
-def test_defects_of_data_are_named(kind: DefectKind) -> None:
+@pytest.mark.parametrize("kind", ["quantized", "clipped", "repeated", "hum", "uneven"])
+def test_defects_of_data_are_named(kind: str) -> None:
     """Uneven noise and hum are no doubt: σ allows for them."""
-    problem, result = damaged(kind.value)
+    problem, result = damaged(kind)
     found = find_data_defects(problem, result)
-    assert kind in {each.kind for each in found}
-    assert (Reason.DATA_DEFECT in judge(result, Assessment(data_defects=found)).reasons) == kind.is_doubt
+    assert DefectKind(kind) in {each.kind for each in found}
+    assert (Reason.DATA_DEFECT in judge(result, Assessment(data_defects=found)).reasons) == DefectKind(kind).is_doubt
 
 
 def test_uneven_noise_has_its_own_covariance() -> None:

@@ -7,6 +7,7 @@ from fmuid.identification import DefectKind, ErrorKind
 from fmuid.reports.topics.verdict import VerdictMessage, reason_words, remedy_words, verdict_state
 
 DEFECTS = {"frequency": 50.0, "ratio": 2.4, "limit": 5.0, "samples": 9.0, "share": 0.31, "factor": 2.2}
+DEFECTS |= {"row": 7.0, "rows": 2.0, "size": 12.0}
 VALUES = {"fit": 12.4, "ratio": 5.42, "shift": 0.81, "probability": 3e-4, "widening": 1.9}
 
 

@@ -82,6 +82,22 @@ class DefectMessage(Message, section="residuals"):
     )
     REPEATED = doubt("{output} repeats {share:.0%} of its samples", "a channel slower than its clock")
     HUM = plain("{output} has a hum of {frequency:.4g} Hz", "mains, or a resonance: σ allows for it")
+    OUTLYING = doubt(
+        "row {row:.0f} of {experiment} is off by {size:.3g} σ in {output} ({rows:.0f} such rows)",
+        "a typing error, or another steady state than the measured one",
+        "Check these rows, or start nearer to the estimates.",
+    )
+    TWICE = doubt(
+        "{share:.0%} of the rows of {experiment} stand twice", "copied rows make σ too small", "Remove the copies."
+    )
+    SEVERAL = doubt(
+        "row {row:.0f} of {experiment} has several steady states at the estimates",
+        "the model settles at one or the other",
+        "Set `guess` near the right one.",
+    )
+    EVENT = doubt(
+        "row {row:.0f} of {experiment} is at an event at the estimates", "a kink: σ does not hold", "Remove the row."
+    )
     UNEVEN = plain("noise of {output} is uneven ({factor:.2g} ×)", "it follows the signal or time: σ allows for it")
 
 
@@ -142,8 +158,14 @@ def _joined(names: Sequence[str]) -> str:
 
 def defect_words(found: Doubt) -> str:
     """Return a defect of a recorded output."""
-    kind, output, *_ = found.subject
-    return DefectMessage[DefectKind(kind).name].text.format(output=output, **found.values).replace("%", " %")
+    kind, output, experiment = found.subject
+    text = DefectMessage[DefectKind(kind).name].text
+    return text.format(output=output, experiment=experiment, **found.values).replace("%", " %")
+
+
+def defect_remedy(found: Doubt) -> str:
+    """Return what to do about a defect; empty for what all have in common."""
+    return DefectMessage[DefectKind(found.subject[0]).name].remedy
 
 
 def defect_remarks(found: Sequence[DataDefect]) -> list[Remark]:

@@ -8,7 +8,7 @@ from itertools import groupby
 from fmuid.estimation import Doubt, Grade, Reason, Verdict
 from fmuid.formatting import listed
 from fmuid.reports.document import Message, Tone
-from fmuid.reports.topics.assumptions import defect_words, error_remedy, error_words
+from fmuid.reports.topics.assumptions import defect_remedy, defect_words, error_remedy, error_words
 from fmuid.reports.topics.solver_check import unchecked_words
 
 SHOWN_REASONS = 2
@@ -125,6 +125,8 @@ def remedy_words(verdict: Verdict) -> str:
     first = next(iter((*verdict.doubts, *verdict.freed)), None)
     if first is not None and first.reason is Reason.MODEL_ERROR:
         return error_remedy(first)
+    if first is not None and first.reason is Reason.DATA_DEFECT and (own := defect_remedy(first)):
+        return own
     told = [each.reason for each in (*verdict.doubts, *verdict.freed)]
     return next((text for each in told if (text := VerdictMessage[each.name].remedy)), "")
 

@@ -1,0 +1,97 @@
+"""Outlying and copied rows of experiments without a time.
+
+Each value gets a shift of its own, linear about the estimates (Cook and Weisberg, Residuals and Influence in
+Regression, 1982, section 2.2.2). The largest leave one after the other, so they do not hide each other
+(Rosner, Technometrics 25, 1983).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from fmuid.array_types import Floats, Indices
+from fmuid.data import ROW
+from fmuid.estimation import LeastSquares, Result
+from fmuid.identification.directed_tests import whitened
+
+
+@dataclass(frozen=True)
+class OutlyingRowSettings:
+    """Numbers of the test."""
+
+    level: float = 0.01  # significance, of all values together
+    most: float = 0.25  # of the values of an output
+    freedom: float = 3.0  # degrees of freedom that remain
+    values: int = 2000  # of all experiments: their influence on each other is a matrix
+
+
+SETTINGS = OutlyingRowSettings()
+
+
+@dataclass(frozen=True)
+class OutlyingRows:
+    """Rows (from 0) of one output of an experiment, the worst first; `size` is its residual over the others' noise."""
+
+    output: str
+    experiment: str
+    rows: tuple[int, ...]
+    size: float
+
+
+def find_outlying_rows(problem: LeastSquares, result: Result) -> tuple[OutlyingRows, ...]:
+    """Return the outlying rows of a result; none with a robust loss, which has reduced their weight."""
+    local, noise = result.fit.linearization, result.fit.noise
+    timeless = any(each.kind != "time" for each in problem.experiments)
+    if not timeless or local is None or noise is None or problem.loss is not None:
+        return ()
+    if not np.isfinite(result.std).all() or local.residual.size > SETTINGS.values:
+        return ()
+    rows = whitened(noise, np.column_stack([local.residual, local.jacobian @ local.root]))
+    left = np.eye(len(rows)) - rows[:, 1:] @ np.linalg.pinv(rows[:, 1:])
+    places = problem.tables(np.arange(len(rows), dtype=np.float64))
+    pairs = [each for each in zip(problem.experiments, places, strict=True) if each[0].kind != "time"]
+    level, found = SETTINGS.level / sum(table.shape[1] for _, table in pairs), []
+    for experiment, table in pairs:
+        for output, column in zip(experiment.output_names, table.T, strict=True):
+            at = np.flatnonzero(np.isfinite(column))
+            if own := list(_leave(left @ rows[:, 0], left, column[at].astype(np.intp), level)):
+                found.append(OutlyingRows(output, experiment.name, tuple(int(at[k]) for k, _ in own), own[0][1]))
+    return tuple(found)
+
+
+def _leave(residual: Floats, left: Floats, own: Indices, level: float) -> Iterator[tuple[int, float]]:
+    """Yield places in `own` and sizes of outlying values, the worst first; `left` projects on what no column fits."""
+    gone, tested = list[tuple[int, float]](), 0
+    for _ in range(max(1, int(SETTINGS.most * own.size))):
+        among = [k for k in range(own.size) if k not in {each for each, _ in gone}]
+        free = np.maximum(left[own, own], 0.0)
+        rest = float(free[among].sum()) - 1.0
+        if rest < SETTINGS.freedom:
+            break
+        shift = np.where(free > 1e-6, residual[own] / np.where(free > 1e-6, free, 1.0), 0.0)
+        k = max(among, key=lambda each: shift[each] ** 2 * free[each])
+        others = np.array([each for each in among if each != k])
+        column = left[:, own[k]] / free[k]
+        residual = residual - column * residual[own[k]]
+        left = left - np.outer(column, left[own[k]])
+        noise = float(np.sum(residual[own[others]] ** 2)) / rest
+        size = abs(float(shift[k])) / max(noise, 1e-300) ** 0.5
+        gone.append((k, size))
+        if special.fdtrc(1.0, rest, size**2 * free[k]) * len(among) < level:
+            tested = len(gone)
+    yield from gone[:tested]
+
+
+def repeated_shares(problem: LeastSquares) -> dict[str, float]:
+    """Return the share of copied rows, by experiment without a time."""
+    found = {}
+    for experiment in (each for each in problem.experiments if each.kind != "time"):
+        given = [values for name, values in experiment.axis.items() if name != ROW]
+        rows = np.nan_to_num(np.column_stack([*given, experiment.output_values]))
+        if twice := len(rows) - len(np.unique(rows, axis=0)):
+            found[experiment.name] = twice / len(rows)
+    return found
