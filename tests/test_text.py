@@ -14,7 +14,7 @@ from fmuid.units import parse_unit
 
 
 def test_words_in_a_list() -> None:
-    assert [listed(list(words)) for words in ("a", "ab", "abc")] == ["a", "a and b", "a, b and c"]
+    assert [listed(list(words)) for words in ("", "a", "ab", "abc")] == ["", "a", "a and b", "a, b and c"]
 
 
 def test_two_digits_without_exponents() -> None:

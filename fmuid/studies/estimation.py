@@ -50,25 +50,14 @@ class EstimationSection(StudySection):
     jacobian: Annotated[str, kinds.one_of(SENSITIVITIES)] = entry(
         "finite-difference", '"forward": sensitivity equations; "fmu": by the FMU', "finite-difference"
     )
-    solver_check: Annotated[str, kinds.one_of(ACCURACIES)] = entry(
-        "refine",
-        "for solver errors above 0.1 σ",
-        "refine",
-    )
+    solver_check: Annotated[str, kinds.one_of(ACCURACIES)] = entry("refine", "for solver errors above 0.1 σ", "refine")
     model_error: Annotated[str, kinds.one_of(MODEL_ERROR)] = entry(
         "refit",
         "for model errors that directed tests name",
         "refit",
     )
-    restarts: bool = entry(
-        True,
-        "try other starting points after a failure or a large residual; not in batches",
-    )
-    observer_memory: kinds.Positive | None = entry(
-        None,
-        "memory of a state observer, in samples",
-        3.0,
-    )
+    restarts: bool = entry(True, "try other starting points after a failure or a large residual; not in batches")
+    observer_memory: kinds.Positive | None = entry(None, "memory of a state observer, in samples", 3.0)
     max_iterations: kinds.Count = entry(DEFAULTS.max_iterations, "trial steps, accepted or not")
     relative_step_tolerance: kinds.Positive = entry(
         DEFAULTS.tolerance, "largest relative change of a parameter at convergence"

@@ -4,7 +4,7 @@ import pytest
 
 from fmuid.estimation import AccuracyOutcome, Doubt, Reason, Verdict
 from fmuid.identification import DefectKind, ErrorKind
-from fmuid.reports.topics.verdict import VerdictMessage, reason_words, remedy_words, verdict_state
+from fmuid.reports.topics.verdict import STATES, VerdictMessage, reason_words, remedy_words
 
 DEFECTS = {"frequency": 50.0, "ratio": 2.4, "limit": 5.0, "samples": 9.0, "share": 0.31, "factor": 2.2}
 DEFECTS |= {"row": 7.0, "rows": 2.0, "size": 12.0}
@@ -57,6 +57,6 @@ def test_a_line_has_two_reasons_and_counts_the_others() -> None:
             Doubt(Reason.INPUT_CORRELATION, ("y", "run", "u")),
         ]
     )
-    assert verdict_state(verdict) == ("DOUBTFUL", "doubt")
+    assert STATES[verdict.grade] == ("DOUBTFUL", "doubt")
     assert reason_words(verdict) == "model misses effects of u; R and L at a bound; 1 more"
     assert reason_words(Verdict()) == ""

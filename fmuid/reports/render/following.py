@@ -6,8 +6,7 @@ import json
 import math
 import sys
 import time
-from types import TracebackType
-from typing import Self
+from contextlib import AbstractContextManager
 
 from rich.console import Group
 from rich.live import Live
@@ -27,23 +26,16 @@ SILENT_SECONDS = 5.0
 COLORS = {"raised": "bold red", "changed": "red", "ended": "green"}
 
 
-class FollowingDisplay:
+class FollowingDisplay(AbstractContextManager["FollowingDisplay"]):
     """Display of a monitoring that follows a folder."""
 
     def __init__(self) -> None:
         self._console = console()
-        self._live: Live | None = None
+        live = Live(console=self._console, refresh_per_second=4, transient=True)
+        self._live = live if sys.stdout.isatty() else None
         self._windows, self._since = -1, 0.0
 
-    def __enter__(self) -> Self:
-        if sys.stdout.isatty():
-            self._live = Live(console=self._console, refresh_per_second=4, transient=True)
-            self._live.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_ended: object) -> None:
         if self._live is not None:
             self._live.stop()
 
@@ -63,6 +55,7 @@ class FollowingDisplay:
             if watching.monitor.windows != self._windows:
                 self._windows, self._since = watching.monitor.windows, time.monotonic()
             silent = time.monotonic() - self._since
+            self._live.start()
             hint = Text("Ctrl-C: stop; the same command resumes", style="dim")
             self._live.update(Group(state(watching, silent), hint))
 

@@ -11,8 +11,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
@@ -42,7 +40,7 @@ LINE_VALUES = 6
 KEEPS = "Ctrl-C: stop and keep the results so far"
 
 
-class Display:
+class Display(contextlib.AbstractContextManager["Display"]):
     """Progress display: a context, called with each event."""
 
     PARTS = 10
@@ -58,12 +56,7 @@ class Display:
         self._next = time.monotonic() + self.EVERY
         self._told = os.environ.get(EVENTS)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_ended: object) -> None:
         self.pause()
 
     def pause(self) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from fmuid.reports.chart import Color
 
 COLORS: dict[Color, str] = {
@@ -48,10 +50,6 @@ def palette(name: str) -> list[str]:
     """Return the colors of a palette, those of low values first."""
     if name == "diverging":
         return list(BLUE_RED)
-    found = []
-    for k in range(_SHADES):
-        place = k * (len(_BLUES) - 1) / (_SHADES - 1)
-        low = min(int(place), len(_BLUES) - 2)
-        pairs = zip(_BLUES[low], _BLUES[low + 1], strict=True)
-        found.append("#" + "".join(f"{round(one + (place - low) * (other - one)):02x}" for one, other in pairs))
-    return found
+    places = np.linspace(0.0, len(_BLUES) - 1.0, _SHADES)
+    parts = np.array([np.interp(places, range(len(_BLUES)), each) for each in zip(*_BLUES, strict=True)])
+    return ["#" + bytes(color).hex() for color in parts.T.round().astype(np.uint8)]

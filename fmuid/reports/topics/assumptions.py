@@ -144,16 +144,12 @@ def _fields(kind: ErrorKind, subject: Sequence[str], size: str) -> dict[str, str
     half = len(subject) // 2
     whole = kind.is_output_delay or kind is ErrorKind.INTERPOLATION
     return {
-        "first": _joined(subject if whole else subject[:1]),
-        "others": _joined(subject[1:]),
-        "inputs": _joined(subject[:half]),
-        "outputs": _joined(subject[half:]),
+        "first": listed(subject if whole else subject[:1]),
+        "others": listed(subject[1:]),
+        "inputs": listed(subject[:half]),
+        "outputs": listed(subject[half:]),
         "size": size,
     }
-
-
-def _joined(names: Sequence[str]) -> str:
-    return listed(names) if names else ""
 
 
 def defect_words(found: Doubt) -> str:

@@ -53,9 +53,7 @@ class BatchMessage(Message):
     """Statistics of a batch."""
 
     LEFT_OUT = plain("{done} of {total} cases converged; the statistics omit {others}.")
-    BEST_OF_STARTS = plain(
-        "Statistics use the best of all starting points for each of {sets} data sets.",
-    )
+    BEST_OF_STARTS = plain("Statistics use the best of all starting points for each of {sets} data sets.")
     FIT = plain(
         "Fit (NRMSE) of {output}: median {median}, minimum {least} (case {case}).",
         remedy="Inspect the case with the lowest fit.",
@@ -66,9 +64,7 @@ class BatchMessage(Message):
         "{name}: spread {spread} is {ratio:.3g} × the stated σ ({stated}) {among}.",
         "wrong noise, a strongly nonlinear problem, or different machines",
     )
-    STD_TOO_LARGE = doubt(
-        "{name}: spread {spread} is below the stated σ ({stated}).",
-    )
+    STD_TOO_LARGE = doubt("{name}: spread {spread} is below the stated σ ({stated}).")
     BIASED = doubt("{name}: biased by {size} ({share:.2g} × the stated σ).")
     COVERAGE = doubt("{name}: {held:.3g} % of the 95 % intervals contain the true value ({low:.3g} to {high:.3g} %).")
     WIDE = plain("{name} varies by {times:.2g} × its stated σ over the settings.")
@@ -86,9 +82,7 @@ class BatchMessage(Message):
         "a verdict of a case is that of its optimization and solver",
         'Set `estimation.model_error = "report"` to test model errors, too.',
     )
-    CHECKED = plain(
-        "Solver error checked in {total} cases, in {checked} by new simulations.",
-    )
+    CHECKED = plain("Solver error checked in {total} cases, in {checked} by new simulations.")
     REFINED = plain("Solver refined in {count} cases.")
     SHIFTED = doubt(
         "Solver error shifts estimates in {count} cases; σ includes it.",

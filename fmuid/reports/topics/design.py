@@ -34,9 +34,7 @@ class DesignMessage(Message, section="excitations"):
     """Ranking of excitations, and length of the healthy data."""
 
     ACCURATE = plain("{excitation}: relative σ of all parameters at most {worst:.3g} %.")
-    SHOWS = plain(
-        "{excitation}: faults detectable from {worst:.3g} % of their magnitude.",
-    )
+    SHOWS = plain("{excitation}: faults detectable from {worst:.3g} % of their magnitude.")
     BLIND = doubt(
         "{size}: not detectable with this excitation.",
         "it has no effect on the outputs, or that of another cause",

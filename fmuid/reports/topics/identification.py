@@ -30,12 +30,11 @@ from fmuid.reports.topics.prior_and_data import prior_sections, reading_remarks
 from fmuid.reports.topics.residual_analysis import residual_phrases, residual_remarks, residual_section, widening_words
 from fmuid.reports.topics.row_charts import bands, contribution_sections
 from fmuid.reports.topics.solver_check import SolverMessage, run_words, sensitivity_words, solver_section
-from fmuid.reports.topics.study_changes import change_line
-from fmuid.reports.topics.study_notes import gap_remark
+from fmuid.reports.topics.study_notes import change_line, gap_remark
 from fmuid.reports.topics.termination import effort_remark, result_remarks, state_and_reason
 from fmuid.reports.topics.uncertainty import interval_section, uncertainty_remarks
 from fmuid.reports.topics.uncertainty_charts import uncertainty_sections
-from fmuid.reports.topics.verdict import reason_words, remedy_words, verdict_state
+from fmuid.reports.topics.verdict import STATES, reason_words, remedy_words
 from fmuid.runs import IdentificationRun
 from fmuid.simulation import OutputFit
 
@@ -59,7 +58,7 @@ def identification_document(found: IdentificationRun) -> Document:
     """Return the document of an identification."""
     result, checks = found.result, found.assessment
     verdict = result.verdict or judge(result, checks)
-    state, tone = verdict_state(verdict)
+    state, tone = STATES[verdict.grade]
     said = _remarks(found)
     return Document(
         "identification",

@@ -39,10 +39,7 @@ class ComparisonMessage(Message, section="likelihood"):
     COLORED = plain(
         "Residuals are colored: {samples} samples count as {worth:.0f} (log-likelihoods divided by {dependence:.3g}).",
     )
-    PRIORS = plain(
-        "AIC and BIC of {names} are too high: they use priors.",
-        remedy="Compare on a common data file.",
-    )
+    PRIORS = plain("AIC and BIC of {names} are too high: they use priors.", remedy="Compare on a common data file.")
     NO_FIT = plain("Common data: fit undefined for constant outputs.", remedy="Compare the RMSE.")
     AS_GOOD = plain("Common data: {names} equally good (fit {most} for {best}; {others}).")
     BEST_FIT = plain("Common data: {best} is best (fit {most}; {others}).")

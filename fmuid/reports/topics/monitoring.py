@@ -34,9 +34,7 @@ class MonitoringMessage(Message, section="timeline"):
 
     NO_WINDOW = plain("No window evaluated.")
     UNDECIDED = plain("UNDECIDED: no window determines {names}.", remedy="Use longer windows or another excitation.")
-    NO_ALARM = plain(
-        "NO ALARM in {windows} windows at {level:g} % false-alarm rate {per}.",
-    )
+    NO_ALARM = plain("NO ALARM in {windows} windows at {level:g} % false-alarm rate {per}.")
     ALARM = plain(
         "ALARM {cause}{onset}, raised at {time:.6g} s{record}.",
         "cause, onset with its 95 % interval, end of the first window",

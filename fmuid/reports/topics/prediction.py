@@ -42,17 +42,13 @@ class PredictionMessage(Message, section="prediction"):
         remedy="Predict data that the result was not estimated from.",
     )
     OPEN = plain("{record}: {output} predicted ({size}); its expected RMSE is unknown.")
-    AS_EXPECTED = plain(
-        "{record}: {output} predicted as expected ({size}).",
-    )
+    AS_EXPECTED = plain("{record}: {output} predicted as expected ({size}).")
     WORSE = doubt(
         "{record}: {output} predicted {times} × worse than expected ({size}).",
         "RMSE above 1.25 × its expected value: model error, or a changed machine",
         "Compare the residual with the inputs, or estimate with both data files.",
     )
-    COVERAGE = plain(
-        "{record}: {inside} of {samples} samples of {output} are in the {level} band.",
-    )
+    COVERAGE = plain("{record}: {inside} of {samples} samples of {output} are in the {level} band.")
     UNDETERMINED = plain("{names} not identifiable: the band contains noise only.")
     REFITTED = plain("{record}: estimated again: {values}.")
     REFIT_ENDED = doubt("Not converged: {names} on {record} ({end}).")

@@ -46,9 +46,7 @@ class PriorMessage(Message, section="belief"):
         "Residual of {output} is below its noise level: {estimated} against {known}.",
         remedy="State the right noise level: σ is {factor} × too large.",
     )
-    AS_KNOWN = plain(
-        "Residual of {outputs} matches its noise level (variance × {ratios}, p = {probability}).",
-    )
+    AS_KNOWN = plain("Residual of {outputs} matches its noise level (variance × {ratios}, p = {probability}).")
     EXTRAPOLATED = plain("Optimum of the data alone is extrapolated: {reason}.")
 
 

@@ -39,10 +39,7 @@ class ResidualMessage(Message, section="residuals"):
         "a model error, or colored noise; if weak, the intervals allow for it",
         "Check the model structure and sensor filters.",
     )
-    WIDENED = plain(
-        "σ is {factors} wider because {reason}.",
-        "fewer independent samples than rows",
-    )
+    WIDENED = plain("σ is {factors} wider because {reason}.", "fewer independent samples than rows")
     NOT_WIDENED = plain("Colored noise changes σ little.")
     CORRELATED = doubt(
         "Residual of {name} correlates with {input} ({value} at {lag}, limit ±{band}).",

@@ -65,12 +65,8 @@ class SolverMessage(Message, section="accuracy"):
     PASSED = plain("Solver error is below {shift} σ.")
     PASSED_OUTPUTS = plain("Solver error changes all outputs by {change} σ of the noise.")
     CHECKED = plain("Solver check: {finer}.")
-    REFINED = plain(
-        "Solver refined to {after}: {reason}.",
-    )
-    REFUSED = plain(
-        "{count} other optima exist only with the inaccurate solver.",
-    )
+    REFINED = plain("Solver refined to {after}: {reason}.")
+    REFUSED = plain("{count} other optima exist only with the inaccurate solver.")
     SHIFTED = plain("Solver error moves {shifts}; σ includes it.")
     ASKED = plain(
         "The solver was kept as the study sets it.",
@@ -107,9 +103,7 @@ class SolverMessage(Message, section="accuracy"):
         "Export the FMU for Model Exchange.",
     )
     INTERRUPTED = doubt("Solver error was not checked: interrupted.")
-    RUN = plain(
-        "{model}: {run}.",
-    )
+    RUN = plain("{model}: {run}.")
     SENSITIVITIES = plain("Jacobian: {how}.")
 
 

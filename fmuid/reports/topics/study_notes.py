@@ -1,12 +1,14 @@
-"""Notes on a study and its data files: earlier results, gaps, units, inputs without data."""
+"""Notes on a study and its data files, and the change of the study that should gain most."""
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable, Sequence
 
 from fmuid.formatting import listed, two_digits
 from fmuid.identification import TimeScaleMismatch, TimeScaleWarning
 from fmuid.reports.document import Message, Remark, doubt
+from fmuid.runs import ChangeKind, StudyChange
 from fmuid.simulation import AnySimulator, Simulator
 from fmuid.studies import SourceIssue, SourceWarning, Study
 
@@ -42,10 +44,7 @@ class StudyMessage(Message):
     DOUBTFUL = doubt(
         "{path}: the verdict of this earlier result is DOUBTFUL ({reasons}).", remedy="Check it before you use it."
     )
-    NO_MODEL = doubt(
-        "{path}: this earlier result names no model.",
-        remedy="Identify it again.",
-    )
+    NO_MODEL = doubt("{path}: this earlier result names no model.", remedy="Identify it again.")
     OTHER_BUILD = doubt(
         "{path}: this earlier result used another build of {model} than {fmu}.",
         remedy="Identify it again if the equations changed.",
@@ -108,3 +107,23 @@ def source_remark(note: SourceWarning) -> Remark:
         case SourceIssue.OTHER_BUILD:
             assert note.fmu is not None
             return StudyMessage.OTHER_BUILD.said(path=path, model=note.fmu.name, fmu=note.fmu.path)
+
+
+class ChangeMessage(Message):
+    """Offered changes of a study, by `ChangeKind`; the score is the expected fall of −2 ln L."""
+
+    FREE = ("Free {subject}", "a fixed parameter has another value")
+    INTERPOLATION = ('Interpolate {subject} by "{value}"', "held where linear was assumed, or the reverse")
+    WARMUP = ("Set a warm-up of {value} s in {subject}", "most of the residual sits there")
+    OFFSET = ("Subtract {value} from {subject}", "a sensor's zero")
+
+
+def change_title(found: StudyChange) -> str:
+    """Return what a change does."""
+    return ChangeMessage[ChangeKind(found.kind).name].text.format(subject=listed(found.subject), value=found.value)
+
+
+def change_line(found: StudyChange) -> str:
+    """Return a change with its score and the arguments of a command."""
+    words = " ".join(f"--set {shlex.quote(each)}" for each in found.settings)
+    return f"{change_title(found)} (−2 ln L falls by {found.gain:.3g}): `{words}`"

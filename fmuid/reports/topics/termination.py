@@ -84,9 +84,7 @@ class TerminationMessage(Message, section="cost"):
 class StartMessage(Message, section="cost"):
     """Starting points and discrete parameters."""
 
-    RESTARTED = plain(
-        "Initial guess failed; restart {number} of {count} converged.",
-    )
+    RESTARTED = plain("Initial guess failed; restart {number} of {count} converged.")
     MODEL_ERROR = doubt(
         "Residual is {ratio} × noise level; all {count} starting points agree.",
         "not the initial guess: model, input or disturbance",
@@ -100,9 +98,7 @@ class StartMessage(Message, section="cost"):
         "None of {count} starting points converged.", remedy="Check bounds and model, or improve the initial guess."
     )
     ATTEMPTS = plain("Starting points: {attempts}.")
-    REPLACED = plain(
-        "{name} has no effect at its initial guess; used {name} = {value} instead.",
-    )
+    REPLACED = plain("{name} has no effect at its initial guess; used {name} = {value} instead.")
     SIGN = doubt(
         "{name} changed sign, from {start} to {value}.", remedy="Add a bound at zero if the model requires one sign."
     )

@@ -38,9 +38,7 @@ class UncertaintyMessage(Message, section="profiles"):
         "The {end} end of {name} is unknown: simulations fail beyond {value}.",
         remedy="Add a bound within which the model is valid.",
     )
-    END_NOT_CONVERGED = doubt(
-        "At {name} = {value} the other parameters did not converge ({reason}).",
-    )
+    END_NOT_CONVERGED = doubt("At {name} = {value} the other parameters did not converge ({reason}).")
     OTHER_BOUND = doubt("At the {end} end of {name}, {other} is at its bound {bound}.")
     BETTER = doubt(
         "No interval of {name}: at {value} the cost is lower by {fall}.",

@@ -13,8 +13,12 @@ from fmuid.reports.topics.solver_check import unchecked_words
 
 SHOWN_REASONS = 2
 """Reasons in the first line; the others are counted."""
-STATES = {Grade.PASSED: "PASSED", Grade.DOUBTFUL: "DOUBTFUL", Grade.NOT_USABLE: "NOT USABLE"}
-GRADE_TONES: dict[Grade, Tone] = {Grade.PASSED: "good", Grade.DOUBTFUL: "doubt", Grade.NOT_USABLE: "bad"}
+STATES: dict[Grade, tuple[str, Tone]] = {
+    Grade.PASSED: ("PASSED", "good"),
+    Grade.DOUBTFUL: ("DOUBTFUL", "doubt"),
+    Grade.NOT_USABLE: ("NOT USABLE", "bad"),
+}
+"""Word and tone of each grade."""
 
 
 class VerdictMessage(Message):
@@ -104,11 +108,6 @@ class VerdictMessage(Message):
     )
 
 
-def verdict_state(verdict: Verdict) -> tuple[str, Tone]:
-    """Return the word of a verdict and its tone."""
-    return STATES[verdict.grade], GRADE_TONES[verdict.grade]
-
-
 def reason_words(verdict: Verdict) -> str:
     """Return the gravest reasons, and the number of others."""
     doubts = {each.subject for each in verdict.doubts if each.reason is Reason.MODEL_ERROR}
@@ -137,9 +136,9 @@ def _phrases(found: Sequence[Doubt]) -> Iterator[str]:
         first = doubts[0]
         words = {
             "first": next(iter(first.subject), ""),
-            "subjects": _joined(_subjects(reason, doubts)),
+            "subjects": listed(_subjects(reason, doubts)),
             "cause": unchecked_words(first) if reason is Reason.SOLVER_UNCHECKED else "",
-            "inputs": _joined(_inputs(doubts)),
+            "inputs": listed(list(dict.fromkeys(each.subject[2] for each in doubts if len(each.subject) > 2))),
             "defect": listed([defect_words(each) for each in doubts]) if reason is Reason.DATA_DEFECT else "",
             "error": listed([error_words(each) for each in doubts]) if reason is Reason.MODEL_ERROR else "",
         }
@@ -152,11 +151,3 @@ def _subjects(reason: Reason, doubts: list[Doubt]) -> list[str]:
 
 
 _DIRECTIONS = {Reason.NON_IDENTIFIABLE, Reason.WEAKLY_IDENTIFIABLE, Reason.PRIOR_DOMINATED, Reason.BETTER_OPTIMUM}
-
-
-def _joined(names: list[str]) -> str:
-    return listed(names) if names else ""
-
-
-def _inputs(doubts: list[Doubt]) -> list[str]:
-    return list(dict.fromkeys(each.subject[2] for each in doubts if len(each.subject) > 2))

@@ -22,7 +22,7 @@ from fmuid.estimation import Result
 from fmuid.files import is_file, relative
 from fmuid.formatting import of_parameter
 from fmuid.reports.render.html import text as escaped
-from fmuid.reports.topics.study_changes import change_line, change_title
+from fmuid.reports.topics.study_notes import change_line, change_title
 from fmuid.runs import offered_change, study_of
 from fmuid.studies import Study, quoted_key, read_toml, toml_text
 
