@@ -21,11 +21,11 @@ from .fmu_summary import VariableRow as VariableRow
 from .fmu_summary import facts as facts
 from .fmu_summary import lines as lines
 from .machine_terminals import PHASOR_FORMULAS as PHASOR_FORMULAS
+from .machine_terminals import MachineDeclaration as MachineDeclaration
 from .machine_terminals import MachineTerminals as MachineTerminals
 from .machine_terminals import OperatingPhasors as OperatingPhasors
 from .machine_terminals import Phasors as Phasors
-from .nameplate import MachineDeclaration as MachineDeclaration
-from .nameplate import machine_of as machine_of
+from .machine_terminals import machine_of as machine_of
 from .reading import read_description as read_description
 from .ssv import Quantity as Quantity
 from .ssv import read_ssv as read_ssv

@@ -74,11 +74,7 @@ class FrequencySimulator(PointSimulator):
         for name in (each for each in self.seeds if each not in inputs):
             start = self.system.variable(name).start
             inputs[name] = np.array([float(start) if isinstance(start, int | float) else 0.0])
-        found = None if self.model is None else PointModel(self.model, inputs, self.seeds, self.signals, {})
-        if found is None or not found.is_open:
-            why = 'kind = "frequency" needs one FMU for Model Exchange that shows its states'
-            raise InputError(f"{self.system.label}: {why}.")
-        return found
+        return self.points(inputs, self.seeds, self.signals, 'kind = "frequency"')
 
     def _compute(self, thetas: Floats) -> tuple[Floats, list[str]]:
         """Return outputs (m, K, n_outputs) of all frequencies, and reasons of failures."""

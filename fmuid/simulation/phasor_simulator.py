@@ -113,12 +113,7 @@ class PhasorSimulator(PointSimulator):
         _, angular, slip = self.supply
         inputs = dict(zip(self.terminals.voltages, voltages, strict=True))
         inputs |= {self.terminals.speed: angular * (1.0 - slip)} if self.terminals.speed else {}
-        found = None
-        if self.model is not None:
-            found = PointModel(self.model, inputs, self.terminals.voltages, self.terminals.currents, {})
-        if found is None or not found.is_open:
-            raise InputError(f"{self.system.label}: frame needs one FMU for Model Exchange that shows its states.")
-        return found
+        return self.points(inputs, self.terminals.voltages, self.terminals.currents, "frame")
 
     def _compute(self, thetas: Floats) -> tuple[Floats, list[str]]:
         """Return outputs (m, K, n_outputs) of all rows, and reasons of failures."""

@@ -39,11 +39,18 @@ class ModelOfPoints:
     values: Mapping[str, Value]
     source: str
 
-    def simulator(self, columns: Mapping[str, Floats], outputs: Sequence[str], units: Mapping[str, str]) -> Simulator:
-        """Return the simulator of rows of inputs (P,)."""
-        count = len(next(iter(columns.values()), np.zeros(2)))
-        frame = pd.DataFrame({"time": np.arange(float(count)), **columns})
-        made = Experiment(frame, list(columns), list(outputs), interpolation="zoh", units=units, measured=False)
+    def simulator(
+        self,
+        inputs: Mapping[str, Floats],
+        outputs: Sequence[str],
+        units: Mapping[str, str],
+        times: Floats | None = None,
+    ) -> Simulator:
+        """Return the simulator of rows of inputs (P,), by default 1 s apart."""
+        count = len(next(iter(inputs.values()), np.zeros(2)))
+        frame = pd.DataFrame({"time": np.arange(float(count)) if times is None else times, **inputs})
+        names = list(inputs), list(outputs)
+        made = Experiment(frame, *names, interpolation="zoh", units=units, measured=False, source=self.source)
         return Simulator(self.system, made, self.parameters, values=self.values)
 
 

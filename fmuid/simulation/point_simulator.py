@@ -15,7 +15,7 @@ from fmuid.data import Experiment
 from fmuid.errors import InputError, SimulationError
 from fmuid.models import System
 from fmuid.simulation.observed import Simulations
-from fmuid.simulation.point_model import ModelOfPoints
+from fmuid.simulation.point_model import ModelOfPoints, PointModel
 from fmuid.simulation.simulation_task import Value
 from fmuid.simulation.solver_refinement import by_model_exchange
 
@@ -102,6 +102,15 @@ class PointSimulator(ABC):
         if system is None or len(system.components) > 1:
             return None
         return ModelOfPoints(system, self.parameters, self.held, self.experiment.source)
+
+    def points(
+        self, inputs: Mapping[str, Floats], seeds: Sequence[str], outputs: Sequence[str], what: str
+    ) -> PointModel:
+        """Return the model about operating points that `what` needs."""
+        found = None if self.model is None else PointModel(self.model, inputs, seeds, outputs, {})
+        if found is None or not found.is_open:
+            raise InputError(f"{self.system.label}: {what} needs one FMU for Model Exchange that shows its states.")
+        return found
 
     def parameter(self, name: str, thetas: Floats) -> Floats:
         """Return the values (m,) of a parameter of the FMU."""

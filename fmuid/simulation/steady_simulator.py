@@ -14,9 +14,15 @@ from fmuid.formatting import nearest
 from fmuid.models import PHASOR_FORMULAS, MachineTerminals, OperatingPhasors, System, machine_of
 from fmuid.simulation.point_model import ModelOfPoints, PointModel
 from fmuid.simulation.point_simulator import PointSimulator
-from fmuid.simulation.settled_simulation import SettledSimulation
 from fmuid.simulation.simulation_task import column_conversion
-from fmuid.simulation.steady_state import SteadyIssue, SteadyStates, find_steady_states, first_issue, is_unstable
+from fmuid.simulation.steady_state import (
+    SettledSimulation,
+    SteadyIssue,
+    SteadyStates,
+    find_steady_states,
+    first_issue,
+    is_unstable,
+)
 from fmuid.units import parse_unit
 
 REASONS = {

@@ -1,4 +1,4 @@
-"""Steady states: all derivatives of the states are zero.
+"""Steady states: all derivatives of the states are zero, or outputs are still.
 
 Newton steps while they contract, else linearly implicit Euler steps, which follow the transient into its own steady
 state (pseudo-transient continuation: Deuflhard, Newton Methods for Nonlinear Problems, 2004, section 6.4); all rows
@@ -7,13 +7,15 @@ at once.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 
 from fmuid.array_types import Flags, Floats
-from fmuid.simulation.point_model import PointModel, StateSpace
+from fmuid.simulation.point_model import ModelOfPoints, PointModel, StateSpace
+from fmuid.simulation.simulator import Simulator
 
 
 @dataclass(frozen=True)
@@ -183,3 +185,58 @@ def _differs(model: PointModel, theta: Floats, found: SteadyStates, sign: float)
     apart = other.found & (_norm((other.states - found.states) / scale) > SETTINGS.same)
     real = np.linalg.eigvals(np.nan_to_num(other.models.a[0])).real
     return np.asarray(apart & (real < 0.0).all(axis=1))
+
+
+@dataclass(frozen=True)
+class SettlingSettings:
+    """Numbers of the wait for rest."""
+
+    first: float = 1.0  # s: duration of the first simulation; each later one is four times as long
+    most: float = 1e5  # s
+    samples: int = 41
+    last_share: float = 0.25  # of the simulation, in which outputs are still
+    still: float = 1e-7  # change, relative to the largest value
+
+
+SETTLING = SettlingSettings()
+
+
+class SettledSimulation:
+    """Outputs after constant inputs, a row each.
+
+    Parameters
+    ----------
+    model : ModelOfPoints
+    inputs : mapping of str to (K,) array
+    outputs : sequence of str
+    units : mapping of str to str
+        Of the inputs.
+    """
+
+    def __init__(
+        self, model: ModelOfPoints, inputs: Mapping[str, Floats], outputs: Sequence[str], units: Mapping[str, str]
+    ) -> None:
+        self.model, self.inputs, self.outputs, self.units = model, inputs, tuple(outputs), units
+
+    def check(self) -> None:
+        """Check all names (`InputError`)."""
+        self._simulator(0, SETTLING.first)
+
+    def rest(self, row: int, theta: Floats) -> Floats | None:
+        """Return the outputs (n_outputs,) of a row at rest; None if they do not come to rest."""
+        duration = SETTLING.first
+        while duration <= SETTLING.most:
+            found = self._simulator(row, duration).many(theta[None])
+            if found.errors[0] is not None:
+                return None
+            values = found.outputs[0]
+            late = values[int((1.0 - SETTLING.last_share) * len(values)) :]
+            if (np.ptp(late, axis=0) <= SETTLING.still * np.abs(values).max(axis=0) + 1e-300).all():
+                return np.asarray(values[-1])
+            duration *= 4.0
+        return None
+
+    def _simulator(self, row: int, duration: float) -> Simulator:
+        times = np.linspace(0.0, duration, SETTLING.samples)
+        columns = {name: np.full(times.size, each[row]) for name, each in self.inputs.items()}
+        return self.model.simulator(columns, self.outputs, self.units, times)

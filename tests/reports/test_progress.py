@@ -6,8 +6,8 @@ import sys
 import pytest
 
 from fmuid.events import Event, FaultStep, GlobalStep, MapStep, ProfileStep, SamplingStep, SearchStep, WindowStep
+from fmuid.reports.render.console import Screen, showing
 from fmuid.reports.render.progress import Display
-from fmuid.reports.render.screen import Screen, showing
 
 STEP = SearchStep(number=3, cost=12.5, damping=0.1, accepted=True, values={"R": 4.25, "L": 0.1})
 SAMPLING = SamplingStep(step=50, steps=1000, effective_size=math.nan, wanted=200, acceptance=0.3)

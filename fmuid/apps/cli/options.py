@@ -83,7 +83,7 @@ def showing_findings(command: Callable[..., int]) -> Callable[..., int]:
 
     @functools.wraps(command)
     def shown(*, verbose: bool, quiet: bool, json: bool, strict: bool, **given: Any) -> int:
-        from fmuid.reports.render.screen import Screen, showing
+        from fmuid.reports.render.console import Screen, showing
 
         with showing(Screen(verbose=verbose, quiet=quiet, json=json)) as screen:
             code = command(**given)

@@ -1,4 +1,4 @@
-"""Documents on a terminal."""
+"""Documents on a terminal, and how much of them."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import io
 import os
 import sys
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +21,6 @@ from rich.text import Text
 from fmuid.formatting import visible
 from fmuid.reports.document import TERMINAL_ROWS, Column, Document, Remark, Section, Table, capitalized
 from fmuid.reports.publish import REPORT_FILE
-from fmuid.reports.render.screen import screen
 
 PLAIN_WIDTH = 110
 """Width without a terminal and COLUMNS, as a README shows it without scrolling."""
@@ -32,6 +33,51 @@ LABEL_WIDTH = 13
 RESULTS = {"ok": "green", "warning": "yellow", "failed": "bold red"}
 """Style of results of checks."""
 TONES = {"good": "green", "doubt": "yellow", "bad": "red", "plain": ""}
+
+
+@dataclass
+class Screen:
+    """Output options of a command, and its last document."""
+
+    verbose: bool = False
+    quiet: bool = False
+    json: bool = False
+    document: Document | None = None
+
+    @property
+    def silent(self) -> bool:
+        """True if no text is printed."""
+        return self.quiet or self.json
+
+    @property
+    def doubtful(self) -> bool:
+        """True if the document has a doubt."""
+        found = self.document
+        tones = [] if found is None else [found.tone, *(each.tone for each in found.remarks)]
+        return "doubt" in tones or "bad" in tones
+
+
+_current = Screen()
+
+
+def screen() -> Screen:
+    """Return the screen of the command that runs."""
+    return _current
+
+
+@contextmanager
+def showing(chosen: Screen) -> Iterator[Screen]:
+    """Use a screen for a command; at its end, print the document as JSON if asked for."""
+    global _current  # one command runs at a time
+    before, _current = _current, chosen
+    try:
+        yield chosen
+        if chosen.json and chosen.document is not None:
+            from fmuid.reports.render.document_json import table_json
+
+            print(table_json(chosen.document), end="")
+    finally:
+        _current = before
 
 
 class _Console(Console):

@@ -33,7 +33,7 @@ from fmuid.events import (
     WindowStep,
     to_line,
 )
-from fmuid.reports.render.screen import screen
+from fmuid.reports.render.console import screen
 
 LINE_VALUES = 6
 """Values on a line; of more parameters only the first ones fit."""

@@ -15,8 +15,8 @@ import pytest
 
 from fmuid.errors import FmuidError, InputError
 from fmuid.events import BatchStep, Event
+from fmuid.reports.render.console import Screen, showing
 from fmuid.reports.render.progress import Display
-from fmuid.reports.render.screen import Screen, showing
 from fmuid.runs.batch import worker_pool as cluster
 from fmuid.runs.batch.batch import Batch
 from fmuid.runs.batch.case import CaseRunner
