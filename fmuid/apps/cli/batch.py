@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from typer import Option
 
+from fmuid import runs, studies
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, Figures, NoReport, Overrides, StudyFile, showing_findings
 from fmuid.apps.cli.signals import answering
 from fmuid.apps.cli.studies import telling_files
-
-if TYPE_CHECKING:
-    from fmuid.runs import Batch, BatchResult
 
 
 @showing_findings
@@ -39,11 +37,9 @@ def batch(
     from fmuid.reports.render import console
     from fmuid.reports.render.progress import Display
     from fmuid.reports.topics.study_notes import source_notes
-    from fmuid.runs import Batch
-    from fmuid.studies import Study
 
-    read = Study.read(study, set_ or ())
-    job = Batch(read, output, scheduler=scheduler, workers=workers, max_cases=max_cases, isolated=not no_isolation)
+    read = studies.Study.read(study, set_ or ())
+    job = runs.Batch(read, output, scheduler=scheduler, workers=workers, max_cases=max_cases, isolated=not no_isolation)
     console.show_notes(source_notes(read))
     with answering("saving the finished cases, then their summary (Ctrl-C skips it)"):
         with Display() as display:
@@ -52,7 +48,7 @@ def batch(
             return _show(job, found, figures, report=not no_report)
 
 
-def _show(job: Batch, found: BatchResult, figures: str | None, *, report: bool) -> int:
+def _show(job: runs.Batch, found: runs.BatchResult, figures: str | None, *, report: bool) -> int:
     """Show and write the finished cases of a batch."""
     from fmuid.reports.render import console
 

@@ -9,35 +9,33 @@ from typing import Annotated
 
 from typer import Argument, Option
 
+from fmuid import errors, models, runs, simulation, studies
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, FmuFile, showing_findings
 
 
 @showing_findings
 def info(fmu: FmuFile) -> int:
     """Show variables and units of an FMU, with a first study."""
-    from fmuid.models import FMU, facts, uncollected
     from fmuid.reports.render.console import console, show_listing
     from fmuid.reports.topics.models import facts_document
 
-    with uncollected():
+    with models.uncollected():
         width = console().width if console().is_terminal else None
         more = "[bold]A first study[/] [dim](fmuid init FMU DATA writes a longer one)[/]"
-        show_listing(facts_document(facts(FMU(fmu)), width), more)
+        show_listing(facts_document(models.facts(models.FMU(fmu)), width), more)
     return DONE
 
 
 @showing_findings
 def validate(fmu: FmuFile) -> int:
     """Check an FMU: description, binaries, and a short simulation of each interface."""
-    from fmuid.models import FMU
     from fmuid.reports.render import console
     from fmuid.reports.topics.validation import binary_notes, validation_document
-    from fmuid.simulation import check_binaries, validate
 
-    model = FMU(fmu)
-    notes = binary_notes(list(check_binaries(model).values()))
+    model = models.FMU(fmu)
+    notes = binary_notes(list(simulation.check_binaries(model).values()))
     console.show_notes(notes)  # before FMPy checks a large description
-    found = validate(model)
+    found = simulation.validate(model)
     console.show(validation_document(found, terminal=console.console().is_terminal))
     return DONE if found.passed else NOT_SUCCEEDED
 
@@ -78,43 +76,42 @@ def init(
     """Write a first study file for an FMU and data; a terminal is asked in doubt."""
     from fmuid.reports.render import console
     from fmuid.reports.topics.init import asked_about, draft_document, record_section, rows_section
-    from fmuid.studies import InitOptions, check_output, draft, match_data_files, parse_column, value_of, write_draft
 
     if not preview:
-        check_output(output, force=force)
+        studies.check_output(output, force=force)
     columns = _pairs(map_ or (), "--map", "variable=column", "ids=Id_meas")
     words = _pairs(preprocess or (), "--preprocess", "key=value", "lowpass_frequency=100")
-    asked = InitOptions(
-        parse_column(time),
+    asked = studies.InitOptions(
+        studies.parse_column(time),
         time_unit,
         sample_rate,
-        None if sheet is None else parse_column(sheet),
+        None if sheet is None else studies.parse_column(sheet),
         columns,
-        {word: value_of(text) for word, text in words.items()},
+        {word: studies.value_of(text) for word, text in words.items()},
         _pairs(unit or (), "--unit", "variable=unit", "w=rpm"),
     )
-    found = match_data_files(fmu, data, asked)
+    found = studies.match_data_files(fmu, data, asked)
     if preview:
         for record in found:
             console.show_section(record_section(record))
             console.show_section(rows_section(record))
         return DONE if all(record.is_ready for record in found) else NOT_SUCCEEDED
     records = [asked_about(record) for record in found]
-    made = draft(fmu, records, output, _pairs(nameplate or (), "--nameplate", "key=value", "'P=1.1 kW'"))
-    write_draft(made, output, force=force)
+    made = studies.draft(fmu, records, output, _pairs(nameplate or (), "--nameplate", "key=value", "'P=1.1 kW'"))
+    studies.write_draft(made, output, force=force)
     console.show(draft_document(made, output))
     return DONE if made.runs else NOT_SUCCEEDED
 
 
 def _pairs(given: Sequence[str], option: str, form: str, example: str) -> dict[str, str]:
     """Return the names and values of a repeatable option."""
-    from fmuid.errors import InputError
-
     found = {}
     for each in given:
         name, equals, text = (part.strip() for part in each.partition("="))
         if not equals or not name:
-            raise InputError(f"{option} {each}: no value. Write {option} {form}, for example {option} {example}.")
+            raise errors.InputError(
+                f"{option} {each}: no value. Write {option} {form}, for example {option} {example}."
+            )
         found[name] = text
     return found
 
@@ -126,17 +123,11 @@ def schema(
 ) -> int:
     """Print the JSON schema of study files or of result.json."""
     if of == "result":
-        from fmuid.runs import result_schema_text
-
-        print(result_schema_text())
+        print(runs.result_schema_text())
         return DONE
     if of != "study":
-        from fmuid.errors import InputError
-
-        raise InputError(f"{of}: no such schema. Choose study or result.")
-    from fmuid.studies import schema_text
-
-    print(schema_text())
+        raise errors.InputError(f"{of}: no such schema. Choose study or result.")
+    print(studies.schema_text())
     return DONE
 
 
@@ -151,15 +142,14 @@ def export(
     ] = "",
 ) -> int:
     """Export a Modelica model as an FMU (needs the extra 'export')."""
-    from fmuid.errors import ModelicaWarning
-    from fmuid.export import export_fmu
+    from fmuid import export as exporting
     from fmuid.reports.document import Remark
     from fmuid.reports.render import console
 
     names = [name.strip() for name in sensitivities.split(",")] if sensitivities else []
     with warnings.catch_warnings(record=True) as remarks:
-        warnings.simplefilter("always", ModelicaWarning)
-        fmu = export_fmu(model, output, fmi=fmi, sensitivities="all" if names == ["all"] else names)
+        warnings.simplefilter("always", errors.ModelicaWarning)
+        fmu = exporting.export_fmu(model, output, fmi=fmi, sensitivities="all" if names == ["all"] else names)
     console.show_remarks(Remark(str(each.message), "doubt") for each in remarks)
     console.show_files([fmu])
     return DONE

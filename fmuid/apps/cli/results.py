@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from typer import Argument, Option
 
+from fmuid import errors, files, formatting, reports, runs, studies
 from fmuid.apps.cli.options import (
     DONE,
     FigureFormat,
@@ -22,10 +23,6 @@ from fmuid.apps.cli.options import (
     showing_findings,
 )
 from fmuid.apps.cli.studies import logged
-
-if TYPE_CHECKING:
-    from fmuid.runs import AppliedValue
-    from fmuid.studies import Study
 
 
 @showing_findings
@@ -56,26 +53,22 @@ def predict(
     no_isolation: NoIsolation = False,
 ) -> int:
     """Predict validation data with a result: errors, fit, tests, bands."""
-    from fmuid.runs import result_path
-
-    path = result_path(result)
+    path = runs.result_path(result)
     folder = path.parent / "prediction" if output is None else output
     with logged(folder, no_isolation) as isolated:
-        from fmuid.errors import InputError
         from fmuid.reports.render.progress import Display
-        from fmuid.runs import cross_predicted, predicted_by, write_prediction
 
         records = data or []
         if records and folds is not None:
-            raise InputError("--folds: predicts the experiments of the study. Remove DATA.")
+            raise errors.InputError("--folds: predicts the experiments of the study. Remove DATA.")
         read = _study(path, study, set_, records, isolated=isolated)
         with Display() as display:
             shared: dict[str, Any] = {"study": read, "free": refit or (), "level": confidence}
             if folds is None:
-                found = predicted_by(path, records, like=experiment, **shared)
+                found = runs.predicted_by(path, records, like=experiment, **shared)
             else:
-                found = cross_predicted(path, folds, progress=display, **shared)
-        _write(write_prediction, found, folder, report=not no_report, figures=figures)
+                found = runs.cross_predicted(path, folds, progress=display, **shared)
+        _write(runs.write_prediction, found, folder, report=not no_report, figures=figures)
         return DONE
 
 
@@ -96,14 +89,10 @@ def compare(
     no_report: NoReport = False,
 ) -> int:
     """Compare results by information criteria, likelihood ratios and errors on common data."""
-    from fmuid.runs import result_path
-
-    folder = result_path(results[0]).resolve().parents[1] / "comparison" if output is None else output
+    folder = runs.result_path(results[0]).resolve().parents[1] / "comparison" if output is None else output
     with logged(folder, no_isolation) as isolated:
-        from fmuid.runs import compared, write_comparison
-
-        found = compared(results, data or (), free=refit or (), isolated=isolated)
-        _write(write_comparison, found, folder, report=not no_report)
+        found = runs.compared(results, data or (), free=refit or (), isolated=isolated)
+        _write(runs.write_comparison, found, folder, report=not no_report)
         return DONE
 
 
@@ -111,18 +100,15 @@ def _write(
     write: Callable[[Path, Any], Any], found: Any, folder: Path, *, report: bool, figures: FigureFormat | None = None
 ) -> None:
     """Write, show and publish findings; they are shown also on a full disk."""
-    from fmuid import files
-    from fmuid.reports import published
-    from fmuid.reports.documents import document
     from fmuid.reports.render import console
 
     files.make_folder(folder)
-    shown = document(found)
+    shown = reports.Document.of(found)
     try:
         found = write(folder, found)
     finally:
         console.show(shown)
-    console.show_files(published(found, shown, folder, report=report, figures=figures).files)
+    console.show_files(reports.published(found, shown, folder, report=report, figures=figures).files)
 
 
 def report(
@@ -147,34 +133,31 @@ def apply(
 ) -> int:
     """Write estimates as start values into a copy of an FMU."""
     from fmuid.reports.render import console
-    from fmuid.runs import apply_result
 
-    _show_applied(apply_result(result, fmu, output, component, force=force))
+    _show_applied(runs.apply_result(result, fmu, output, component, force=force))
     console.show_files([output])
     return DONE
 
 
-def _show_applied(applied: Sequence[AppliedValue]) -> None:
-    from fmuid.formatting import rounded, unit_text
+def _show_applied(applied: Sequence[runs.AppliedValue]) -> None:
     from fmuid.reports.document import Section, table_of_rows
     from fmuid.reports.render import console
 
     rows = []
     for each in applied:
         old, known = each.old, math.isfinite(each.std)
-        new = rounded(each.new, each.std) if isinstance(each.new, float) else str(each.new)
+        new = formatting.rounded(each.new, each.std) if isinstance(each.new, float) else str(each.new)
         cells = ["" if old is None else f"{old:.6g}" if isinstance(old, float) else str(old), new]
-        cells += [rounded(each.std, each.std) if known else "", unit_text(each.unit)]
+        cells += [formatting.rounded(each.std, each.std) if known else "", formatting.unit_text(each.unit)]
         rows.append((each.variable, *cells))
     heads = ("variable", "old start", "new start", "σ", "unit")
     console.show_section(Section("starts", "Start values", table=table_of_rows(heads, rows, ("unit",))))
 
 
-def _study(result: Path, study: Path | None, set_: list[str] | None, data: list[Path], *, isolated: bool) -> Study:
+def _study(
+    result: Path, study: Path | None, set_: list[str] | None, data: list[Path], *, isolated: bool
+) -> studies.Study:
     """Return the given study, or that of a result."""
-    from fmuid.runs import study_of
-    from fmuid.studies import Study
-
     if study is not None:
-        return Study.read(study, set_ or (), isolated=isolated)
-    return study_of(result, set_ or (), isolated=isolated, in_place=data[0] if data else None)
+        return studies.Study.read(study, set_ or (), isolated=isolated)
+    return runs.study_of(result, set_ or (), isolated=isolated, in_place=data[0] if data else None)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
+from fmuid import estimation, events, files, processes, reports, runs, simulation, studies
 from fmuid.apps.cli.options import (
     DONE,
     NOT_SUCCEEDED,
@@ -25,14 +26,10 @@ from fmuid.apps.cli.options import (
 )
 from fmuid.apps.cli.signals import answering, stopping
 from fmuid.errors import InputError
-from fmuid.files import is_folder, noted, replacing
 
 if TYPE_CHECKING:
-    from fmuid.events import Event
     from fmuid.reports.document import Document
     from fmuid.reports.render.progress import Display
-    from fmuid.simulation import OutputFit
-    from fmuid.studies import Study
 
 FMU_LOG = "fmu.log"  # output of FMUs, in the output folder
 
@@ -52,16 +49,14 @@ def simulate(
     """Simulate a study at its initial guesses or a result; compare with data."""
     folder = folder_of(output, study)
     with opened(study, set_, no_isolation, folder) as read:
-        from fmuid import files
         from fmuid.reports.publish import publish, write_figures
         from fmuid.reports.render import console
         from fmuid.reports.topics.fit import fit_sections, simulation_document
-        from fmuid.runs import stacked
 
         files.make_folder(folder)
         _warn(read)
         fits = read.fits() if result is None else _fits_at(read, result)
-        table = stacked([fit.experiment for fit in fits], [fit.simulated_frame() for fit in fits])
+        table = runs.stacked([fit.experiment for fit in fits], [fit.simulated_frame() for fit in fits])
         written = [files.write_table(folder / "simulated.csv", table)]
         console.show(simulation_document(fits))
         sections = fit_sections(fits, caption="")
@@ -73,7 +68,7 @@ def simulate(
         return DONE
 
 
-def _warn(study: Study) -> None:
+def _warn(study: studies.Study) -> None:
     """Show sources of priors, unconnected inputs and doubtful time units."""
     from fmuid.reports.render import console
     from fmuid.reports.topics.study_notes import input_notes, source_notes, time_notes
@@ -82,28 +77,23 @@ def _warn(study: Study) -> None:
     console.show_notes([*source_notes(study), *input_notes(simulators), *time_notes(study, simulators)])
 
 
-def _sensitivities(study: Study, folder: Path) -> tuple[list[Path], Document]:
+def _sensitivities(study: studies.Study, folder: Path) -> tuple[list[Path], Document]:
     """Write the sensitivities of a study; return files and document."""
-    from fmuid.files import write_table
     from fmuid.reports.topics.design import sensitivity_document
-    from fmuid.runs import made_from, sensitivities_of, stacked, write_origin
 
-    found = sensitivities_of(study)
-    table = stacked([each.experiment for each in found], [each.table for each in found])
+    found = runs.sensitivities_of(study)
+    table = runs.stacked([each.experiment for each in found], [each.table for each in found])
     units = {name: each.units.get(name, study.system.unit(name)) for each in study.tables for name in each.output_names}
-    shown = sensitivity_document([(each.experiment, each.table) for each in found], units, made_from(study))
-    files = [write_table(folder / "sensitivities.csv", table), write_origin(folder / "sensitivities.json", study)]
-    return files, shown
+    shown = sensitivity_document([(each.experiment, each.table) for each in found], units, runs.made_from(study))
+    written = files.write_table(folder / "sensitivities.csv", table)
+    return [written, runs.write_origin(folder / "sensitivities.json", study)], shown
 
 
-def _fits_at(study: Study, result: Path) -> tuple[OutputFit, ...]:
-    from fmuid.estimation import Result
-    from fmuid.runs import fits_at, notes_of, result_path
-
-    path = result_path(result)
-    estimates = Result.from_json(path)
-    notes_of(study, path, estimates)
-    return fits_at(study, estimates)
+def _fits_at(study: studies.Study, result: Path) -> tuple[simulation.OutputFit, ...]:
+    path = runs.result_path(result)
+    estimates = estimation.Result.from_json(path)
+    runs.notes_of(study, path, estimates)
+    return runs.fits_at(study, estimates)
 
 
 @showing_findings
@@ -121,36 +111,32 @@ def identify(
     """Identify the parameters of a study; write result, tables and a report."""
     folder = folder_of(output, study)
     with opened(study, set_, no_isolation, folder) as read:
-        from fmuid.reports import published
-        from fmuid.reports.documents import document
         from fmuid.reports.render import console
         from fmuid.reports.render.progress import Display
-        from fmuid.runs import at_minimum, identified
 
         _warn(read)
         found, left_out = None, read.uncertainty_settings.explores
         shown: Document | None = None
         with answering("saving the results so far (Ctrl-C again: stop without)"), Display() as display:
-            for each in identified(read, folder, resume=resume, progress=partial(_show_event, display)):
+            for each in runs.identified(read, folder, resume=resume, progress=partial(_show_event, display)):
                 display.pause()
-                before, shown = shown, document(each)
+                before, shown = shown, reports.Document.of(each)
                 console.show(shown, before)
                 known = each.assessment.residuals is not None
-                if left_out and known and not at_minimum(each.result):
+                if left_out and known and not runs.at_minimum(each.result):
                     console.show_notes(["[uncertainty] was skipped: it needs a converged optimization."])
-                found = published(each, shown, folder, report=known and not no_report, figures=figures)
+                found = reports.published(each, shown, folder, report=known and not no_report, figures=figures)
         assert found is not None, "a run yields, or raises an error"
         console.show_files(found.files)
         return DONE if found.succeeded else NOT_SUCCEEDED
 
 
-def _show_event(display: Display, event: Event, /) -> None:
+def _show_event(display: Display, event: events.Event, /) -> None:
     """Show an event; raise KeyboardInterrupt after SIGTERM or SIGHUP."""
-    from fmuid.events import DataOnlyStep
     from fmuid.reports.render import console
 
     match event:
-        case DataOnlyStep():
+        case events.DataOnlyStep():
             display.pause()
             console.show_notes(["Optimizing with the data alone, for comparison. Ctrl-C skips it."])
         case _ if stopping():
@@ -173,11 +159,10 @@ def diagnose(
     with opened(study, set_, no_isolation, folder) as read:
         from fmuid.reports.render.console import show_notes
         from fmuid.reports.topics.study_notes import input_notes, source_notes
-        from fmuid.runs import diagnosed
 
         if read.diagnosis is not None:
             show_notes([*source_notes(read), *input_notes(read.simulators())])
-        return _report(partial(diagnosed, read, folder), folder, report=not no_report, figures=figures)
+        return _report(partial(runs.diagnosed, read, folder), folder, report=not no_report, figures=figures)
 
 
 @showing_findings
@@ -203,7 +188,6 @@ def monitor(
     with opened(study, set_, no_isolation, folder) as read:
         from fmuid.reports.render.console import show_notes
         from fmuid.reports.topics.study_notes import source_notes
-        from fmuid.runs import monitored
 
         if read.diagnosis is not None:
             show_notes(source_notes(read))
@@ -211,41 +195,37 @@ def monitor(
             return _follow(read, data, folder, resume=resume, figures=figures, report=not no_report)
         saving = "saving the recordings evaluated so far; continue with --resume"
         with answering(saving):
-            run = partial(monitored, read, data, folder, append=resume)
+            run = partial(runs.monitored, read, data, folder, append=resume)
             return _report(run, folder, report=not no_report, figures=figures)
 
 
 def _report(run: Callable[..., Iterator[Any]], folder: Path, *, report: bool, figures: FigureFormat | None) -> int:
     """Run, show and publish a diagnosis or a monitoring run."""
-    from fmuid.reports import published
-    from fmuid.reports.documents import document
     from fmuid.reports.render import console
     from fmuid.reports.render.progress import Display
 
     with Display() as display:
         for each in run(progress=display):
             display.pause()
-            shown = document(each)
+            shown = reports.Document.of(each)
             console.show(shown)
-            found = published(each, shown, folder, report=report, figures=figures)
+            found = reports.published(each, shown, folder, report=report, figures=figures)
     console.show_files(found.files)
     return DONE if found.healthy else NOT_SUCCEEDED
 
 
 def _follow(
-    study: Study, data: list[Path], folder: Path, *, resume: bool, figures: FigureFormat | None, report: bool
+    study: studies.Study, data: list[Path], folder: Path, *, resume: bool, figures: FigureFormat | None, report: bool
 ) -> int:
-    from fmuid.reports.documents import document
     from fmuid.reports.publish import publish
     from fmuid.reports.render.console import show_files
     from fmuid.reports.render.following import FollowingDisplay
     from fmuid.reports.topics.monitoring import alarm_sentence
-    from fmuid.runs import findings_of, followed
 
     for word, given in (("several folders", len(data) > 1), ("--resume", resume), ("--figures", bool(figures))):
         if given:
             raise InputError(f"--follow: excludes {word}. It follows one folder or file, and resumes by itself.")
-    watching, looks = None, followed(study, data[0], folder, alarm_sentence)
+    watching, looks = None, runs.followed(study, data[0], folder, alarm_sentence)
     saving = answering("saving the state; the same command resumes")
     with saving, FollowingDisplay() as display, suppress(KeyboardInterrupt), closing(looks):
         for watching in looks:
@@ -253,7 +233,7 @@ def _follow(
     if watching is None or not watching.files:
         return DONE
     monitor = watching.monitor
-    show_files([*watching.files, *publish(folder, document(findings_of(monitor)), report=report)])
+    show_files([*watching.files, *publish(folder, reports.Document.of(runs.findings_of(monitor)), report=report)])
     return NOT_SUCCEEDED if monitor.alarms or monitor.undetermined else DONE
 
 
@@ -270,9 +250,8 @@ def baseline(
     with opened(study, set_, no_isolation, folder_of(None, study)) as read:
         from fmuid.reports.render import console
         from fmuid.reports.topics.baseline import baseline_document
-        from fmuid.runs import extended_baseline
 
-        path, made = extended_baseline(read, data)
+        path, made = runs.extended_baseline(read, data)
         console.show(baseline_document(made))
         console.show_files([path])
         return DONE
@@ -298,18 +277,19 @@ def design(
     """Compare excitations before measuring, by accuracy of estimates or detectable fault size."""
     folder = folder_of(output, study)
     with opened(study, set_, no_isolation, folder) as read:
-        from fmuid import files
         from fmuid.reports.publish import publish
         from fmuid.reports.render import console
         from fmuid.reports.topics.design import design_document
-        from fmuid.runs import healthy_record_cost, made_from, ranked_excitations, write_origin
 
         files.make_folder(folder)
-        ranked = ranked_excitations(read, data, by=criterion, fault=fault)
-        written = [files.write_table(folder / "design.csv", ranked), write_origin(folder / "design.json", read, data)]
+        ranked = runs.ranked_excitations(read, data, by=criterion, fault=fault)
+        written = [
+            files.write_table(folder / "design.csv", ranked),
+            runs.write_origin(folder / "design.json", read, data),
+        ]
         best = str(ranked["excitation"].iloc[0])
-        cost = None if fault is None else healthy_record_cost(read, data, fault, best)
-        shown = design_document(ranked, cost, made_from(read, data))
+        cost = None if fault is None else runs.healthy_record_cost(read, data, fault, best)
+        shown = design_document(ranked, cost, runs.made_from(read, data))
         console.show(shown)
         console.show_files([*written, *publish(folder, shown, report=not no_report)])
         return DONE
@@ -325,15 +305,12 @@ def workbench(
     port: Annotated[int, Option(metavar="N", help="TCP port (default: any free one).", show_default=False)] = 0,
 ) -> int:
     """Open the workbench in the browser: studies, sliders, identification, results."""
-    from fmuid.processes import AVAILABLE
-    from fmuid.simulation import start_server
-
-    if AVAILABLE:
-        start_server()  # it loads in parallel with this process
+    if processes.AVAILABLE:
+        simulation.start_server()  # it loads in parallel with this process
     from fmuid.apps.workbench import Folder, Workbench, entry_file, start_browser
     from fmuid.reports.render.console import show_notes
 
-    study = None if is_folder(target) else target
+    study = None if files.is_folder(target) else target
     if study is not None and not study.is_file():
         raise InputError(f"{target}: no such study file or folder.")
     bench = Workbench(Folder(target if study is None else study.parent), study, port=port)
@@ -355,41 +332,34 @@ def workbench(
 
 
 @contextmanager
-def opened(study: Path, set_: list[str] | None, no_isolation: bool, folder: Path) -> Iterator[Study]:
+def opened(study: Path, set_: list[str] | None, no_isolation: bool, folder: Path) -> Iterator[studies.Study]:
     """Read a study with its FMUs in their own process."""
     with logged(folder, no_isolation) as isolated:
-        from fmuid.studies import Study
-
-        yield Study.read(study, set_ or (), isolated=isolated)
+        yield studies.Study.read(study, set_ or (), isolated=isolated)
 
 
 @contextmanager
 def logged(folder: Path, no_isolation: bool) -> Iterator[bool]:
     """Provide whether FMUs are isolated, as by default; log their output."""
-    from fmuid.processes import AVAILABLE
-
-    if no_isolation or not AVAILABLE:
+    if no_isolation or not processes.AVAILABLE:
         with telling_files():
             yield not no_isolation
         return
     from fmuid.reports.render.console import show_notes
-    from fmuid.simulation import start_server
 
-    start_server()  # it loads in parallel with this process
-    from fmuid.simulation import printed
-
-    printed()
+    simulation.start_server()  # it loads in parallel with this process
+    simulation.printed()
     try:
         with telling_files():
             yield True
     finally:
-        show_notes(_write_log(folder / FMU_LOG, printed()))
+        show_notes(_write_log(folder / FMU_LOG, simulation.printed()))
 
 
 @contextmanager
 def telling_files() -> Iterator[None]:
     """Show the written files if an error ends the command."""
-    with noted() as written:
+    with files.noted() as written:
         try:
             yield
         except (Exception, KeyboardInterrupt):
@@ -407,7 +377,7 @@ def _write_log(log: Path, text: str) -> list[str]:
             log.unlink()  # of an earlier run
         return []
     try:
-        with replacing(log) as draft:
+        with files.replacing(log) as draft:
             draft.write_text(text, encoding="utf-8")
     except InputError as error:
         return [f"The output of the FMUs is lost: {error}"]
