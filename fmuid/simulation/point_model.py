@@ -46,7 +46,7 @@ class ModelOfPoints:
         units: Mapping[str, str],
         times: Floats | None = None,
     ) -> Simulator:
-        """Return the simulator of rows of inputs (P,), by default 1 s apart."""
+        """Return the simulator of rows (P,), by default 1 s apart."""
         count = len(next(iter(inputs.values()), np.zeros(2)))
         frame = pd.DataFrame({"time": np.arange(float(count)) if times is None else times, **inputs})
         names = list(inputs), list(outputs)

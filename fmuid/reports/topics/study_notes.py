@@ -1,4 +1,4 @@
-"""Notes on a study and its data files, and the change of the study that should gain most."""
+"""Notes on a study, and the change that gains most."""
 
 from __future__ import annotations
 
