@@ -12,11 +12,8 @@ import uuid
 from collections.abc import Iterator, Sequence
 from importlib import resources
 from importlib.metadata import version
-from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
-from fmuid.errors import InputError
 from fmuid.formatting import visible
 from fmuid.reports.chart import LIMITS, Figure
 from fmuid.reports.document import Document, Remark, Section, Table
@@ -209,11 +206,8 @@ def _packed(name: str, content: str) -> str:
 
 
 def bokeh_library() -> str:
-    """Return Bokeh's library for browsers; finding it imports nothing of Bokeh."""
-    found = find_spec("bokeh")
-    if found is None or not found.submodule_search_locations:  # it is a dependency: only a broken installation
-        raise InputError("figures are drawn by Bokeh, which is not installed: pip install bokeh")
-    path = Path(found.submodule_search_locations[0], "server", "static", "js", "bokeh.min.js")
+    """Return Bokeh's library for browsers."""
+    path = resources.files("bokeh").joinpath("server", "static", "js", "bokeh.min.js")
     return path.read_text(encoding="utf-8")
 
 
