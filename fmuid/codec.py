@@ -93,9 +93,9 @@ def _object(value: Any) -> dict[str, Any]:
     return found
 
 
-def from_json(kind: type[Item], content: Any) -> Item:
+def from_json(kind: type[Item], content: Any, place: str = "") -> Item:
     """Return the value of `as_json`; raise `ContentError` with the place for what does not fit."""
-    found: Item = _value(kind, content, "")
+    found: Item = _value(kind, content, place)
     return found
 
 
@@ -301,6 +301,12 @@ def read(path: Path, schema_name: str, kind: type[Item], remedy: str) -> Item:
     return decoded(path, content_of(path, schema_name, remedy), kind, remedy)
 
 
+def read_part(path: Path, schema_name: str, key: str, kind: type[Item], remedy: str) -> Item | None:
+    """Return the value of one key, None without it; errors as in `read`."""
+    part = content_of(path, schema_name, remedy).get(key)
+    return None if part is None else decoded(path, part, kind, remedy, key)
+
+
 def object_of(path: Path, remedy: str) -> dict[str, Any]:
     """Return the object of a JSON file; raise `InputError` with the remedy if it has none."""
     try:
@@ -324,10 +330,10 @@ def content_of(path: Path, schema_name: str, remedy: str) -> dict[str, Any]:
     return content
 
 
-def decoded(path: Path, content: Any, kind: type[Item], remedy: str) -> Item:
+def decoded(path: Path, content: Any, kind: type[Item], remedy: str, place: str = "") -> Item:
     """Return the value of a file's content; errors as in `read`."""
     try:
-        return from_json(kind, content)
+        return from_json(kind, content, place)
     except (ContentError, RecursionError) as error:
         why = error if isinstance(error, ContentError) else "it is nested too deeply"
         raise InputError(f"{path} cannot be right: {why}; {remedy}") from None

@@ -98,14 +98,14 @@ def _findings(
     tables: Sequence[str | Path],
     progress: Progress | None,
 ) -> Iterator[AnyFindings]:
-    from fmuid.runs import compared, diagnosed, identified, monitored, predicted_by, write_comparison, write_prediction
+    from fmuid.runs import compared, diagnosed, identified, monitored, predicted_by, write_findings
     from fmuid.studies import Study
 
     if command == "compare":
         if isinstance(given, Study | str | Path):
             raise InputError("results are compared: give a sequence of result.json files, or of their folders")
-        compared_ = compared(given, tables)
-        yield compared_ if folder is None else write_comparison(folder, compared_)
+        comparison = compared(given, tables)
+        yield comparison if folder is None else write_findings(folder, comparison)
         return
     if not isinstance(given, Study | str | Path):
         raise InputError(f"{command} takes one study, not several")
@@ -113,7 +113,7 @@ def _findings(
         if isinstance(given, Study):
             raise InputError("a result predicts: give its result.json, or its folder")
         found = predicted_by(given, tables)
-        yield found if folder is None else write_prediction(folder, found)
+        yield found if folder is None else write_findings(folder, found)
         return
     study = given if isinstance(given, Study) else Study.read(given)
     if command == "identify":

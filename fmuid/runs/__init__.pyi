@@ -42,8 +42,7 @@ from .folder import read_monitoring as read_monitoring
 from .folder import read_prediction as read_prediction
 from .folder import read_table as read_table
 from .folder import stacked as stacked
-from .folder import write_comparison as write_comparison
-from .folder import write_prediction as write_prediction
+from .folder import write_findings as write_findings
 from .follow import FollowStatus as FollowStatus
 from .follow import followed as followed
 from .log_follower import LogFollower as LogFollower

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -35,6 +35,9 @@ _TABLES = ("trace", "fit", "diagnostics", "optima", "preparation", "profiles", "
 # Columns of texts, which pandas would take for numbers or missing values where they look like it.
 _TEXTS = ("experiment", "record", "significant", "alarm")
 _AGAIN = "run fmuid identify again"
+
+
+ShortFindings = TypeVar("ShortFindings", bound=PredictionRun | ComparisonRun)
 
 
 def stacked(names: Sequence[str], frames: Sequence[pd.DataFrame]) -> pd.DataFrame:
@@ -79,24 +82,17 @@ def write_identification(folder: Path, found: IdentificationRun) -> list[Path]:
     return written
 
 
-@dataclass(frozen=True)
-class _Fits:
-    """The fits in a ``result.json``, and nothing else of it."""
-
-    fits: tuple[OutputFit, ...] = ()
-
-
 def read_fits(folder: Path) -> tuple[OutputFit, ...]:
     """Return the fits of an identification, with their samples."""
     path = folder / RESULT_FILE
-    content = codec.content_of(path, RESULT_SCHEMA, _AGAIN)
-    codec.decoded(path, content, _Fits, _AGAIN)  # its own errors first
+    fits = codec.content_of(path, RESULT_SCHEMA, _AGAIN).get("fits", [])
+    codec.decoded(path, fits, tuple[OutputFit, ...], _AGAIN, "fits")  # its own errors first
     table = path.with_name("fit.csv")
     if not table.is_file():
         return ()
     with _fitting(path, _AGAIN):
-        _fill_fits(content.get("fits", ()), read_table(table))
-    return codec.decoded(path, content, _Fits, _AGAIN).fits
+        _fill_fits(fits, read_table(table))
+    return codec.decoded(path, fits, tuple[OutputFit, ...], _AGAIN, "fits")
 
 
 @contextmanager
@@ -147,19 +143,20 @@ def read_monitoring(folder: Path) -> MonitoringRun:
     return codec.decoded(path, content, MonitoringRun, again)
 
 
-def write_prediction(folder: Path, found: PredictionRun) -> PredictionRun:
-    """Write ``prediction.json`` and the tables of records and scores; return findings with their files."""
-    table = stacked([each.fit.experiment for each in found.predictions], [each.table for each in found.predictions])
-    written = (
-        codec.write(folder / PREDICTION_FILE, PREDICTION_SCHEMA, found),
-        write_table(folder / "prediction.csv", table),
-        write_table(folder / "scores.csv", found.scores),
-    )
-    return replace(found, files=written)
+def write_findings(folder: Path, found: ShortFindings) -> ShortFindings:
+    """Write a prediction or comparison, JSON and tables; return it with its files."""
+    if isinstance(found, ComparisonRun):
+        name, schema, tables = COMPARISON_FILE, COMPARISON_SCHEMA, {"comparison": found.table}
+    else:
+        name, schema, parts = PREDICTION_FILE, PREDICTION_SCHEMA, found.predictions
+        records = stacked([each.fit.experiment for each in parts], [each.table for each in parts])
+        tables = {"prediction": records, "scores": found.scores}
+    written = [write_table(folder / f"{each}.csv", table) for each, table in tables.items()]
+    return replace(found, files=(codec.write(folder / name, schema, found), *written))
 
 
 def read_prediction(folder: Path) -> PredictionRun:
-    """Read the files of `write_prediction`."""
+    """Read the files of a prediction."""
     path, again = folder / PREDICTION_FILE, "run fmuid predict again"
     content = codec.content_of(path, PREDICTION_SCHEMA, again)
     table = read_table(folder / "prediction.csv")
@@ -170,15 +167,6 @@ def read_prediction(folder: Path) -> PredictionRun:
             each["std"] = _values(rows, "std", fit["outputs"])
             each["half_width"] = _values(rows, "upper", fit["outputs"]) - fit["simulated"]
     return codec.decoded(path, content, PredictionRun, again)
-
-
-def write_comparison(folder: Path, found: ComparisonRun) -> ComparisonRun:
-    """Write ``comparison.json`` and ``comparison.csv``; return findings with their files."""
-    written = (
-        codec.write(folder / COMPARISON_FILE, COMPARISON_SCHEMA, found),
-        write_table(folder / "comparison.csv", found.table),
-    )
-    return replace(found, files=written)
 
 
 def read_table(path: Path) -> pd.DataFrame:

@@ -7,7 +7,7 @@ import math
 import os
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -87,17 +87,12 @@ def _of_json(value: Any, _: str) -> Any:
     return float(value[NUMBER]) if isinstance(value, Mapping) and set(value) == {NUMBER} else value
 
 
-@dataclass(frozen=True)
-class _Origin:
-    """The provenance in a file of results, and nothing else of it."""
-
-    origin: Provenance | None = None
-
-
 def with_earlier(origin: Provenance, path: Path) -> Provenance:
     """Return a provenance with the files of an earlier monitoring, if any."""
-    there = codec.read(path, MONITORING_SCHEMA, _Origin, "run fmuid monitor again") if is_file(path) else _Origin()
-    return origin if there.origin is None else replace(origin, files={**there.origin.files, **origin.files})
+    if not is_file(path):
+        return origin
+    there = codec.read_part(path, MONITORING_SCHEMA, "origin", Provenance, "run fmuid monitor again")
+    return origin if there is None else replace(origin, files={**there.files, **origin.files})
 
 
 def study_of(
@@ -107,7 +102,7 @@ def study_of(
     from fmuid.studies import Study, override
 
     path = result_path(result)
-    origin = codec.read(path, RESULT_SCHEMA, _Origin, _GIVE_STUDY).origin
+    origin = codec.read_part(path, RESULT_SCHEMA, "origin", Provenance, _GIVE_STUDY)
     if origin is None or origin.study is None or origin.study.content is None:
         raise InputError(f"{path}: no study recorded; {_GIVE_STUDY}")
     data = mapped(dict(origin.study.content), _of_json)

@@ -52,16 +52,9 @@ class StudyChange:
     gain: float
 
 
-@dataclass(frozen=True)
-class _Offer:
-    """The change in a ``result.json``, and nothing else of it."""
-
-    change: StudyChange | None = None
-
-
 def offered_change(result: Path) -> StudyChange | None:
     """Return the change that a ``result.json`` offers."""
-    return codec.read(result, RESULT_SCHEMA, _Offer, "run fmuid identify again").change
+    return codec.read_part(result, RESULT_SCHEMA, "change", StudyChange, "run fmuid identify again")
 
 
 def best_change(study: Study, found: Assessment, stretches: tuple[ResidualStretch, ...]) -> StudyChange | None:

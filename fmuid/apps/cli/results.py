@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -68,7 +68,7 @@ def predict(
                 found = runs.predicted_by(path, records, like=experiment, **shared)
             else:
                 found = runs.cross_predicted(path, folds, progress=display, **shared)
-        _write(runs.write_prediction, found, folder, report=not no_report, figures=figures)
+        _write(found, folder, report=not no_report, figures=figures)
         return DONE
 
 
@@ -92,20 +92,18 @@ def compare(
     folder = runs.result_path(results[0]).resolve().parents[1] / "comparison" if output is None else output
     with logged(folder, no_isolation) as isolated:
         found = runs.compared(results, data or (), free=refit or (), isolated=isolated)
-        _write(runs.write_comparison, found, folder, report=not no_report)
+        _write(found, folder, report=not no_report)
         return DONE
 
 
-def _write(
-    write: Callable[[Path, Any], Any], found: Any, folder: Path, *, report: bool, figures: FigureFormat | None = None
-) -> None:
+def _write(found: Any, folder: Path, *, report: bool, figures: FigureFormat | None = None) -> None:
     """Write, show and publish findings; they are shown also on a full disk."""
     from fmuid.reports.render import console
 
     files.make_folder(folder)
     shown = reports.Document.of(found)
     try:
-        found = write(folder, found)
+        found = runs.write_findings(folder, found)
     finally:
         console.show(shown)
     console.show_files(reports.published(found, shown, folder, report=report, figures=figures).files)
