@@ -12,6 +12,7 @@ from fmuid import runs, studies
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, Figures, NoReport, Overrides, StudyFile, showing_findings
 from fmuid.apps.cli.signals import answering
 from fmuid.apps.cli.studies import telling_files
+from fmuid.reports import render, topics
 
 
 @showing_findings
@@ -34,15 +35,11 @@ def batch(
     no_report: NoReport = False,
 ) -> int:
     """Run the identifications of a study's [batch]; the same command resumes them."""
-    from fmuid.reports.render import console
-    from fmuid.reports.render.progress import Display
-    from fmuid.reports.topics.study_notes import source_notes
-
     read = studies.Study.read(study, set_ or ())
     job = runs.Batch(read, output, scheduler=scheduler, workers=workers, max_cases=max_cases, isolated=not no_isolation)
-    console.show_notes(source_notes(read))
+    render.show_notes(topics.source_notes(read))
     with answering("saving the finished cases, then their summary (Ctrl-C skips it)"):
-        with Display() as display:
+        with render.Display() as display:
             found = job.run(display, resume=resume)
         with telling_files():
             return _show(job, found, figures, report=not no_report)
@@ -50,23 +47,19 @@ def batch(
 
 def _show(job: runs.Batch, found: runs.BatchResult, figures: str | None, *, report: bool) -> int:
     """Show and write the finished cases of a batch."""
-    from fmuid.reports.render import console
-
     logs = len(list(job.dataset.logs.glob("case-*.txt")))
     said = [f"{path}: damaged, removed. Its cases run again." for path in found.lost]
     said += [f"Output and warnings of {logs} cases: {job.dataset.logs}"] if logs else []
-    console.show_notes(said)
+    render.show_notes(said)
     if found.finished:
         from fmuid.reports.publish import publish
-        from fmuid.reports.topics.batch import batch_document
-        from fmuid.reports.topics.batch_tables import write_summary
 
         summary, frame = found.summary(), found.frame
-        written = write_summary(found, summary, job.study)
-        document = batch_document(found, summary, frame, job.study)
-        console.show(document)
+        written = topics.write_summary(found, summary, job.study)
+        document = topics.batch_document(found, summary, frame, job.study)
+        render.show(document)
         written += publish(job.folder, document, report=report, figures=figures)
-        console.show_files([*job.dataset.files(), *written])
+        render.show_files([*job.dataset.files(), *written])
     if found.interrupted:
         print(
             f"interrupted: {found.finished} of {found.total} cases are finished; the same command resumes",

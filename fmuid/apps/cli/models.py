@@ -11,32 +11,27 @@ from typer import Argument, Option
 
 from fmuid import errors, models, runs, simulation, studies
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, FmuFile, showing_findings
+from fmuid.reports import render, topics
 
 
 @showing_findings
 def info(fmu: FmuFile) -> int:
     """Show variables and units of an FMU, with a first study."""
-    from fmuid.reports.render.console import console, show_listing
-    from fmuid.reports.topics.models import facts_document
-
     with models.uncollected():
-        width = console().width if console().is_terminal else None
+        width = render.console.console().width if render.console.console().is_terminal else None
         more = "[bold]A first study[/] [dim](fmuid init FMU DATA writes a longer one)[/]"
-        show_listing(facts_document(models.facts(models.FMU(fmu)), width), more)
+        render.show_listing(topics.facts_document(models.facts(models.FMU(fmu)), width), more)
     return DONE
 
 
 @showing_findings
 def validate(fmu: FmuFile) -> int:
     """Check an FMU: description, binaries, and a short simulation of each interface."""
-    from fmuid.reports.render import console
-    from fmuid.reports.topics.validation import binary_notes, validation_document
-
     model = models.FMU(fmu)
-    notes = binary_notes(list(simulation.check_binaries(model).values()))
-    console.show_notes(notes)  # before FMPy checks a large description
+    notes = topics.binary_notes(list(simulation.check_binaries(model).values()))
+    render.show_notes(notes)  # before FMPy checks a large description
     found = simulation.validate(model)
-    console.show(validation_document(found, terminal=console.console().is_terminal))
+    render.show(topics.validation_document(found, terminal=render.console.console().is_terminal))
     return DONE if found.passed else NOT_SUCCEEDED
 
 
@@ -74,9 +69,6 @@ def init(
     preview: Annotated[bool, Option("--preview", help="Show how the data are read, and write nothing.")] = False,
 ) -> int:
     """Write a first study file for an FMU and data; a terminal is asked in doubt."""
-    from fmuid.reports.render import console
-    from fmuid.reports.topics.init import asked_about, draft_document, record_section, rows_section
-
     if not preview:
         studies.check_output(output, force=force)
     columns = _pairs(map_ or (), "--map", "variable=column", "ids=Id_meas")
@@ -93,13 +85,13 @@ def init(
     found = studies.match_data_files(fmu, data, asked)
     if preview:
         for record in found:
-            console.show_section(record_section(record))
-            console.show_section(rows_section(record))
+            render.show_section(topics.record_section(record))
+            render.show_section(topics.rows_section(record))
         return DONE if all(record.is_ready for record in found) else NOT_SUCCEEDED
-    records = [asked_about(record) for record in found]
+    records = [topics.asked_about(record) for record in found]
     made = studies.draft(fmu, records, output, _pairs(nameplate or (), "--nameplate", "key=value", "'P=1.1 kW'"))
     studies.write_draft(made, output, force=force)
-    console.show(draft_document(made, output))
+    render.show(topics.draft_document(made, output))
     return DONE if made.runs else NOT_SUCCEEDED
 
 
@@ -144,12 +136,11 @@ def export(
     """Export a Modelica model as an FMU (needs the extra 'export')."""
     from fmuid import export as exporting
     from fmuid.reports.document import Remark
-    from fmuid.reports.render import console
 
     names = [name.strip() for name in sensitivities.split(",")] if sensitivities else []
     with warnings.catch_warnings(record=True) as remarks:
         warnings.simplefilter("always", errors.ModelicaWarning)
         fmu = exporting.export_fmu(model, output, fmi=fmi, sensitivities="all" if names == ["all"] else names)
-    console.show_remarks(Remark(str(each.message), "doubt") for each in remarks)
-    console.show_files([fmu])
+    render.show_remarks(Remark(str(each.message), "doubt") for each in remarks)
+    render.show_files([fmu])
     return DONE

@@ -23,6 +23,7 @@ from fmuid.apps.cli.options import (
     showing_findings,
 )
 from fmuid.apps.cli.studies import logged
+from fmuid.reports import render
 
 
 @showing_findings
@@ -56,13 +57,11 @@ def predict(
     path = runs.result_path(result)
     folder = path.parent / "prediction" if output is None else output
     with logged(folder, no_isolation) as isolated:
-        from fmuid.reports.render.progress import Display
-
         records = data or []
         if records and folds is not None:
             raise errors.InputError("--folds: predicts the experiments of the study. Remove DATA.")
         read = _study(path, study, set_, records, isolated=isolated)
-        with Display() as display:
+        with render.Display() as display:
             shared: dict[str, Any] = {"study": read, "free": refit or (), "level": confidence}
             if folds is None:
                 found = runs.predicted_by(path, records, like=experiment, **shared)
@@ -98,25 +97,20 @@ def compare(
 
 def _write(found: Any, folder: Path, *, report: bool, figures: FigureFormat | None = None) -> None:
     """Write, show and publish findings; they are shown also on a full disk."""
-    from fmuid.reports.render import console
-
     files.make_folder(folder)
     shown = reports.Document.of(found)
     try:
         found = runs.write_findings(folder, found)
     finally:
-        console.show(shown)
-    console.show_files(reports.published(found, shown, folder, report=report, figures=figures).files)
+        render.show(shown)
+    render.show_files(reports.published(found, shown, folder, report=report, figures=figures).files)
 
 
 def report(
     results: Annotated[Path, Argument(metavar="RESULTS", help="Results folder of a command.", show_default=False)],
 ) -> int:
     """Write report.html of a results folder, one page that loads nothing."""
-    from fmuid.reports.publish import write_report
-    from fmuid.reports.render import console
-
-    console.show_files([write_report(results)])
+    render.show_files([reports.write_report(results)])
     return DONE
 
 
@@ -130,16 +124,13 @@ def apply(
     force: Annotated[bool, Option("--force", help="Apply a result that is not usable.")] = False,
 ) -> int:
     """Write estimates as start values into a copy of an FMU."""
-    from fmuid.reports.render import console
-
     _show_applied(runs.apply_result(result, fmu, output, component, force=force))
-    console.show_files([output])
+    render.show_files([output])
     return DONE
 
 
 def _show_applied(applied: Sequence[runs.AppliedValue]) -> None:
     from fmuid.reports.document import Section, table_of_rows
-    from fmuid.reports.render import console
 
     rows = []
     for each in applied:
@@ -149,7 +140,7 @@ def _show_applied(applied: Sequence[runs.AppliedValue]) -> None:
         cells += [formatting.rounded(each.std, each.std) if known else "", formatting.unit_text(each.unit)]
         rows.append((each.variable, *cells))
     heads = ("variable", "old start", "new start", "σ", "unit")
-    console.show_section(Section("starts", "Start values", table=table_of_rows(heads, rows, ("unit",))))
+    render.show_section(Section("starts", "Start values", table=table_of_rows(heads, rows, ("unit",))))
 
 
 def _study(

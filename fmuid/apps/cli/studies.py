@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from typer import Argument, Option
 
@@ -26,10 +26,7 @@ from fmuid.apps.cli.options import (
 )
 from fmuid.apps.cli.signals import answering, stopping
 from fmuid.errors import InputError
-
-if TYPE_CHECKING:
-    from fmuid.reports.document import Document
-    from fmuid.reports.render.progress import Display
+from fmuid.reports import render, topics
 
 FMU_LOG = "fmu.log"  # output of FMUs, in the output folder
 
@@ -50,41 +47,35 @@ def simulate(
     folder = folder_of(output, study)
     with opened(study, set_, no_isolation, folder) as read:
         from fmuid.reports.publish import publish, write_figures
-        from fmuid.reports.render import console
-        from fmuid.reports.topics.fit import fit_sections, simulation_document
 
         files.make_folder(folder)
         _warn(read)
         fits = read.fits() if result is None else _fits_at(read, result)
         table = runs.stacked([fit.experiment for fit in fits], [fit.simulated_frame() for fit in fits])
         written = [files.write_table(folder / "simulated.csv", table)]
-        console.show(simulation_document(fits))
-        sections = fit_sections(fits, caption="")
+        render.show(topics.simulation_document(fits))
+        sections = topics.fit_sections(fits, caption="")
         if sensitivities:
             more, shown = _sensitivities(read, folder)
             written += [*more, *publish(folder, shown, report=False)]
             sections += shown.sections
-        console.show_files([*written, *write_figures(folder, sections, figures)])
+        render.show_files([*written, *write_figures(folder, sections, figures)])
         return DONE
 
 
 def _warn(study: studies.Study) -> None:
     """Show sources of priors, unconnected inputs and doubtful time units."""
-    from fmuid.reports.render import console
-    from fmuid.reports.topics.study_notes import input_notes, source_notes, time_notes
-
     simulators = study.simulators()
-    console.show_notes([*source_notes(study), *input_notes(simulators), *time_notes(study, simulators)])
+    doubts = *topics.input_notes(simulators), *topics.time_notes(study, simulators)
+    render.show_notes([*topics.source_notes(study), *doubts])
 
 
-def _sensitivities(study: studies.Study, folder: Path) -> tuple[list[Path], Document]:
+def _sensitivities(study: studies.Study, folder: Path) -> tuple[list[Path], reports.Document]:
     """Write the sensitivities of a study; return files and document."""
-    from fmuid.reports.topics.design import sensitivity_document
-
     found = runs.sensitivities_of(study)
     table = runs.stacked([each.experiment for each in found], [each.table for each in found])
     units = {name: each.units.get(name, study.system.unit(name)) for each in study.tables for name in each.output_names}
-    shown = sensitivity_document([(each.experiment, each.table) for each in found], units, runs.made_from(study))
+    shown = topics.sensitivity_document([(each.experiment, each.table) for each in found], units, runs.made_from(study))
     written = files.write_table(folder / "sensitivities.csv", table)
     return [written, runs.write_origin(folder / "sensitivities.json", study)], shown
 
@@ -111,34 +102,29 @@ def identify(
     """Identify the parameters of a study; write result, tables and a report."""
     folder = folder_of(output, study)
     with opened(study, set_, no_isolation, folder) as read:
-        from fmuid.reports.render import console
-        from fmuid.reports.render.progress import Display
-
         _warn(read)
         found, left_out = None, read.uncertainty_settings.explores
-        shown: Document | None = None
-        with answering("saving the results so far (Ctrl-C again: stop without)"), Display() as display:
+        shown: reports.Document | None = None
+        with answering("saving the results so far (Ctrl-C again: stop without)"), render.Display() as display:
             for each in runs.identified(read, folder, resume=resume, progress=partial(_show_event, display)):
                 display.pause()
                 before, shown = shown, reports.Document.of(each)
-                console.show(shown, before)
+                render.show(shown, before)
                 known = each.assessment.residuals is not None
                 if left_out and known and not runs.at_minimum(each.result):
-                    console.show_notes(["[uncertainty] was skipped: it needs a converged optimization."])
+                    render.show_notes(["[uncertainty] was skipped: it needs a converged optimization."])
                 found = reports.published(each, shown, folder, report=known and not no_report, figures=figures)
         assert found is not None, "a run yields, or raises an error"
-        console.show_files(found.files)
+        render.show_files(found.files)
         return DONE if found.succeeded else NOT_SUCCEEDED
 
 
-def _show_event(display: Display, event: events.Event, /) -> None:
+def _show_event(display: render.Display, event: events.Event, /) -> None:
     """Show an event; raise KeyboardInterrupt after SIGTERM or SIGHUP."""
-    from fmuid.reports.render import console
-
     match event:
         case events.DataOnlyStep():
             display.pause()
-            console.show_notes(["Optimizing with the data alone, for comparison. Ctrl-C skips it."])
+            render.show_notes(["Optimizing with the data alone, for comparison. Ctrl-C skips it."])
         case _ if stopping():
             raise KeyboardInterrupt
         case _:
@@ -157,11 +143,8 @@ def diagnose(
     """Diagnose the faults that a study names; exit code 1 for a fault."""
     folder = folder_of(output, study)
     with opened(study, set_, no_isolation, folder) as read:
-        from fmuid.reports.render.console import show_notes
-        from fmuid.reports.topics.study_notes import input_notes, source_notes
-
         if read.diagnosis is not None:
-            show_notes([*source_notes(read), *input_notes(read.simulators())])
+            render.show_notes([*topics.source_notes(read), *topics.input_notes(read.simulators())])
         return _report(partial(runs.diagnosed, read, folder), folder, report=not no_report, figures=figures)
 
 
@@ -186,11 +169,8 @@ def monitor(
     """Monitor recordings for the faults that a study names; exit code 1 for an alarm."""
     folder = folder_of(output, study)
     with opened(study, set_, no_isolation, folder) as read:
-        from fmuid.reports.render.console import show_notes
-        from fmuid.reports.topics.study_notes import source_notes
-
         if read.diagnosis is not None:
-            show_notes(source_notes(read))
+            render.show_notes(topics.source_notes(read))
         if follow:
             return _follow(read, data, folder, resume=resume, figures=figures, report=not no_report)
         saving = "saving the recordings evaluated so far; continue with --resume"
@@ -201,16 +181,13 @@ def monitor(
 
 def _report(run: Callable[..., Iterator[Any]], folder: Path, *, report: bool, figures: FigureFormat | None) -> int:
     """Run, show and publish a diagnosis or a monitoring run."""
-    from fmuid.reports.render import console
-    from fmuid.reports.render.progress import Display
-
-    with Display() as display:
+    with render.Display() as display:
         for each in run(progress=display):
             display.pause()
             shown = reports.Document.of(each)
-            console.show(shown)
+            render.show(shown)
             found = reports.published(each, shown, folder, report=report, figures=figures)
-    console.show_files(found.files)
+    render.show_files(found.files)
     return DONE if found.healthy else NOT_SUCCEEDED
 
 
@@ -218,22 +195,20 @@ def _follow(
     study: studies.Study, data: list[Path], folder: Path, *, resume: bool, figures: FigureFormat | None, report: bool
 ) -> int:
     from fmuid.reports.publish import publish
-    from fmuid.reports.render.console import show_files
-    from fmuid.reports.render.following import FollowingDisplay
-    from fmuid.reports.topics.monitoring import alarm_sentence
 
     for word, given in (("several folders", len(data) > 1), ("--resume", resume), ("--figures", bool(figures))):
         if given:
             raise InputError(f"--follow: excludes {word}. It follows one folder or file, and resumes by itself.")
-    watching, looks = None, runs.followed(study, data[0], folder, alarm_sentence)
+    watching, looks = None, runs.followed(study, data[0], folder, topics.alarm_sentence)
     saving = answering("saving the state; the same command resumes")
-    with saving, FollowingDisplay() as display, suppress(KeyboardInterrupt), closing(looks):
+    with saving, render.FollowingDisplay() as display, suppress(KeyboardInterrupt), closing(looks):
         for watching in looks:
             display(watching)
     if watching is None or not watching.files:
         return DONE
     monitor = watching.monitor
-    show_files([*watching.files, *publish(folder, reports.Document.of(runs.findings_of(monitor)), report=report)])
+    written = publish(folder, reports.Document.of(runs.findings_of(monitor)), report=report)
+    render.show_files([*watching.files, *written])
     return NOT_SUCCEEDED if monitor.alarms or monitor.undetermined else DONE
 
 
@@ -248,12 +223,9 @@ def baseline(
 ) -> int:
     """Make or extend the baseline file of a study by healthy recordings."""
     with opened(study, set_, no_isolation, folder_of(None, study)) as read:
-        from fmuid.reports.render import console
-        from fmuid.reports.topics.baseline import baseline_document
-
         path, made = runs.extended_baseline(read, data)
-        console.show(baseline_document(made))
-        console.show_files([path])
+        render.show(topics.baseline_document(made))
+        render.show_files([path])
         return DONE
 
 
@@ -278,8 +250,6 @@ def design(
     folder = folder_of(output, study)
     with opened(study, set_, no_isolation, folder) as read:
         from fmuid.reports.publish import publish
-        from fmuid.reports.render import console
-        from fmuid.reports.topics.design import design_document
 
         files.make_folder(folder)
         ranked = runs.ranked_excitations(read, data, by=criterion, fault=fault)
@@ -289,9 +259,9 @@ def design(
         ]
         best = str(ranked["excitation"].iloc[0])
         cost = None if fault is None else runs.healthy_record_cost(read, data, fault, best)
-        shown = design_document(ranked, cost, runs.made_from(read, data))
-        console.show(shown)
-        console.show_files([*written, *publish(folder, shown, report=not no_report)])
+        shown = topics.design_document(ranked, cost, runs.made_from(read, data))
+        render.show(shown)
+        render.show_files([*written, *publish(folder, shown, report=not no_report)])
         return DONE
 
 
@@ -308,7 +278,6 @@ def workbench(
     if processes.AVAILABLE:
         simulation.start_server()  # it loads in parallel with this process
     from fmuid.apps.workbench import Folder, Workbench, entry_file, start_browser
-    from fmuid.reports.render.console import show_notes
 
     study = None if files.is_folder(target) else target
     if study is not None and not study.is_file():
@@ -322,7 +291,7 @@ def workbench(
 
     def refused() -> None:
         if bench.awaits_browser:
-            show_notes(["No browser could be started. Open the address above."])
+            render.show_notes(["No browser could be started. Open the address above."])
 
     print("Ctrl-C: stop the workbench; its running command is interrupted and saved.", flush=True)
     print("Address of the workbench:", flush=True)
@@ -345,7 +314,6 @@ def logged(folder: Path, no_isolation: bool) -> Iterator[bool]:
         with telling_files():
             yield not no_isolation
         return
-    from fmuid.reports.render.console import show_notes
 
     simulation.start_server()  # it loads in parallel with this process
     simulation.printed()
@@ -353,7 +321,7 @@ def logged(folder: Path, no_isolation: bool) -> Iterator[bool]:
         with telling_files():
             yield True
     finally:
-        show_notes(_write_log(folder / FMU_LOG, simulation.printed()))
+        render.show_notes(_write_log(folder / FMU_LOG, simulation.printed()))
 
 
 @contextmanager
@@ -364,9 +332,7 @@ def telling_files() -> Iterator[None]:
             yield
         except (Exception, KeyboardInterrupt):
             if written:
-                from fmuid.reports.render.console import show_files
-
-                show_files(dict.fromkeys(written))
+                render.show_files(dict.fromkeys(written))
             raise
 
 

@@ -1,1 +1,5 @@
 """Messages, tables and charts of findings: one module per topic."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from fmuid.formatting import fit_text, listed, two_digits, unit_text, with_std, with_unit
-from fmuid.identification import OutputScore, Prediction, ResidualAnalysis
+from fmuid.identification import OutputScore, Prediction
 from fmuid.reports.document import (
     Document,
     Message,
@@ -72,11 +72,10 @@ def prediction_document(found: PredictionRun) -> Document:
     said += [PredictionMessage.SEEN.said("", names=listed(found.seen))] if seen else []
     said += [each for prediction in predictions for each in prediction_remarks(prediction)]
     said += [fold_remark(predictions)] if found.folds else []
-    series = tuple(one for each in predictions for one in each.residuals.series)
     sections = (
         Section("scores", "Predicted and measured", table=_scores(predictions)),
         *prediction_fits(found),
-        residual_section([each.fit for each in predictions], ResidualAnalysis(series, {}).correlations),
+        residual_section([each.fit for each in predictions], found.correlations),
     )
     return Document("prediction", "Prediction", state, tone, tuple(said), sections, **origin_of(found.origin))
 
@@ -85,18 +84,14 @@ def prediction_fits(found: PredictionRun) -> list[Section]:
     """Return measured and predicted outputs with their band."""
     bands: dict[str, Band] = {}
     for each in found.predictions:
-        table = each.table
-        ends = [table[f"upper.{name}"] - table[f"simulated.{name}"] for name in each.fit.outputs]
-        half = np.column_stack([one.to_numpy(np.float64) for one in ends])
-        if np.isfinite(half).any():
-            bands[each.fit.experiment] = half, each.level
+        if np.isfinite(each.half_width).any():
+            bands[each.fit.experiment] = each.half_width, each.level
     return fit_sections([each.fit for each in found.predictions], "Predicted", CAPTION, bands, "prediction")
 
 
 def prediction_remarks(found: Prediction) -> list[Remark]:
     """Return the remarks on a prediction, its errors first."""
     record = found.fit.experiment
-
     remarks = [each for score in found.scores for each in _score_remarks(found, score)]
     if found.undetermined:
         remarks.append(PredictionMessage.UNDETERMINED.said(names=listed(found.undetermined)))

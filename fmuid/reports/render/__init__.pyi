@@ -1,0 +1,9 @@
+from . import console as console
+from .console import show as show
+from .console import show_files as show_files
+from .console import show_listing as show_listing
+from .console import show_notes as show_notes
+from .console import show_remarks as show_remarks
+from .console import show_section as show_section
+from .following import FollowingDisplay as FollowingDisplay
+from .progress import Display as Display
