@@ -9,12 +9,11 @@ import scipy.linalg.blas  # loads SciPy's library, which `threads` is to see
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import fmuid
+from fmuid import Problem, Study
 from fmuid.array_types import Floats
 from fmuid.blas import ONE_THREAD
-from fmuid.estimation.evaluator import Evaluator
-from fmuid.identification import Problem
+from fmuid.estimation import Evaluator
 from fmuid.runs.batch.case import CaseRunner
-from fmuid.studies import Study
 from tests.support.coil_batches import NOISE, write
 from tests.support.coil_study import coil_table
 from tests.support.quick import first

@@ -14,12 +14,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import fmuid
+from fmuid import Diagnosis, InputError, Result
 from fmuid.apps.cli.app import run
 from fmuid.array_types import Floats
 from fmuid.codec import Layout, as_json, from_json, read, write
-from fmuid.diagnosis import Alarm, Diagnosis
-from fmuid.errors import InputError
-from fmuid.estimation import RestartAttempt, Result, SolverCheck, WeakDirection
+from fmuid.diagnosis import Alarm
+from fmuid.estimation import RestartAttempt, SolverCheck, WeakDirection
 from fmuid.files import ContentError
 from fmuid.identification import Assessment
 from fmuid.runs import ComparisonRun, DiagnosisRun, IdentificationRun, MonitoringRun, PredictionRun

@@ -14,9 +14,8 @@ import pandas as pd
 import pytest
 
 import fmuid
+from fmuid import Experiment, FmuidError
 from fmuid.codec import as_json
-from fmuid.data import Experiment
-from fmuid.errors import FmuidError
 from fmuid.runs import read_fits
 from fmuid.runs.faults import build_monitor, rule_of
 from tests.support.fuzz_spoil import mutated, spoil_tree

@@ -10,6 +10,7 @@ from functools import cache
 from pathlib import Path
 from pkgutil import resolve_name
 
+from fmuid import Study
 from fmuid.diagnosis.cause_ranking import SETTINGS as CAUSE_RANKING
 from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUAL
 from fmuid.estimation.covariance import LIMITS
@@ -17,13 +18,12 @@ from fmuid.estimation.local_search import ROUNDS
 from fmuid.estimation.noise.whiteness_tests import WhitenessSettings
 from fmuid.estimation.search.state import STOPPING
 from fmuid.estimation.simulation_noise import NOISE
-from fmuid.identification.prior_data_tests import SAME_VARIANCE_RATIO
-from fmuid.models.component import DEFAULT_TOLERANCE
+from fmuid.identification import SAME_VARIANCE_RATIO
+from fmuid.models import DEFAULT_TOLERANCE
 from fmuid.reports.publish import KINDS
-from fmuid.runs.batch.case_list import CaseList
-from fmuid.simulation.isolation.host import TIME_LIMITS
+from fmuid.runs import CaseList
+from fmuid.simulation import TIME_LIMITS
 from fmuid.simulation.plan_builder import LINEAR_SUBSTEPS
-from fmuid.studies.study import Study
 from tests.support.docs_rows import blocks, rows
 from tests.support.paths import ROOT
 

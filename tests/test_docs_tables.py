@@ -9,10 +9,9 @@ import pandas as pd
 import pytest
 
 import fmuid
-from fmuid.data import Experiment
-from fmuid.errors import InputError
-from fmuid.runs.batch.case_list import CaseList
-from fmuid.studies import InitOptions, Study, match_data_files
+from fmuid import Experiment, InputError, Study
+from fmuid.runs import CaseList
+from fmuid.studies import InitOptions, match_data_files
 from tests.support.coil_study import COIL
 from tests.support.docs_rows import rows
 from tests.support.table_variants import writers

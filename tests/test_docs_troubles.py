@@ -13,10 +13,9 @@ import pytest
 from scipy.signal import lfilter
 
 import fmuid
-from fmuid import Document, Experiment, Normal, Parameter, Problem, Simulator, identify
+from fmuid import Document, Experiment, InputError, Noise, Normal, Parameter, Problem, Simulator, identify
 from fmuid.array_types import Floats
-from fmuid.data import Noise, Preprocessing
-from fmuid.errors import InputError
+from fmuid.data import Preprocessing
 from fmuid.estimation import LeastSquares
 from fmuid.simulation.instance import _missing_library
 from tests.support.coil_study import COIL

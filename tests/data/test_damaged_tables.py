@@ -9,8 +9,7 @@ from random import Random
 import pytest
 from scipy.io import savemat
 
-from fmuid.data import Experiment, read_data
-from fmuid.errors import InputError
+from fmuid import Experiment, InputError, read_data
 from tests.support import table_variants as variants
 from tests.support.fuzz_spoil import mutated
 

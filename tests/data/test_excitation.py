@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from fmuid import InputError
 from fmuid.data.signals import multisine, prbs, step_sequence
-from fmuid.errors import InputError
 
 
 @pytest.mark.parametrize("order", [2, 5, 9])

@@ -7,14 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmuid.data import Parameter
-from fmuid.data.experiment import Experiment
-from fmuid.errors import InputError
-from fmuid.estimation.evaluator import Evaluator
-from fmuid.estimation.global_search import GlobalSearch
-from fmuid.estimation.local_search import Marquardt
+from fmuid import Experiment, GlobalSearch, InputError, Marquardt, Parameter
+from fmuid.estimation import Evaluator, LeastSquares
 from fmuid.estimation.predictors import FunctionPredictor
-from fmuid.estimation.problem import LeastSquares
 
 NAN = float("nan")
 TIMES = [1.0, 1.1, 1.2, 1.2, 1.3]

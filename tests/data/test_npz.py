@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fmuid.data.npz import read_arrays, write_arrays
+from fmuid.data import read_arrays, write_arrays
 
 
 def test_damaged_arrays_are_one_error(tmp_path: Path) -> None:

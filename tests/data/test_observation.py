@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmuid.data import Angle, Experiment, Normal, Observation, Parameter, Sensor, SensorMap, read_data
-from fmuid.errors import InputError
+from fmuid import Experiment, InputError, Normal, Parameter, read_data
+from fmuid.data import Angle, Observation, Sensor, SensorMap
 
 AXES = {"ids": ("ia", "ib"), "iqs": ("ia", "ib")}
 VOLTAGES = {"uds": ("ua", "ub", "uc"), "uqs": ("ua", "ub", "uc")}

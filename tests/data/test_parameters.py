@@ -4,8 +4,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from fmuid.data import JointPrior, Normal, Parameter, ParameterSet
-from fmuid.errors import InputError
+from fmuid import InputError, JointPrior, Normal, Parameter
+from fmuid.data import ParameterSet
 
 R = Parameter(1.0)
 EYE = [[1.0, 0.0], [0.0, 1.0]]

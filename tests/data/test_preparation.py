@@ -12,10 +12,9 @@ import pytest
 from scipy.signal import butter, sosfiltfilt
 
 import fmuid
+from fmuid import Experiment, InputError
 from fmuid.array_types import Floats
-from fmuid.data import Experiment, ParkTransform, Preprocessing, preprocess
-from fmuid.data.expressions import evaluate
-from fmuid.errors import InputError
+from fmuid.data import ParkTransform, Preprocessing, evaluate, preprocess
 
 T: Floats = np.arange(2000.0) * 1e-3
 
@@ -101,11 +100,6 @@ def test_stretches_between_gaps_are_filtered_by_themselves() -> None:
     np.testing.assert_allclose(found[:400], sosfiltfilt(sections, x[:400]), atol=1e-12)
     lonely = np.where((T[700] == T) | (T < 0.5), x, np.nan)
     assert np.isnan(reduced(frame(x=lonely), lowpass_frequency=50.0)["x"][700])
-
-
-def test_cut() -> None:
-    found = reduced(frame(x=T), start_time=0.3, end_time=0.7)
-    np.testing.assert_allclose(found["time"], np.linspace(0.3, 0.7, 401))
 
 
 def test_resample() -> None:

@@ -11,9 +11,9 @@ import h5py
 import numpy as np
 import pytest
 
-from fmuid.data import read_data, readers
+from fmuid import InputError, read_data
+from fmuid.data import readers
 from fmuid.data.readers import base
-from fmuid.errors import InputError
 from fmuid.processes import IsolatedCaller
 from tests.support import reading
 from tests.support.table_variants import FILES, FRAME

@@ -8,9 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmuid.data import Experiment
-from fmuid.data.data_file import read_data
-from fmuid.errors import InputError
+from fmuid import Experiment, InputError, read_data
 
 COUNT = 60
 TIMES = 0.7e-3 * np.arange(COUNT)
@@ -85,16 +83,6 @@ def test_far_values_are_never_fitted_in_silence(tmp_path: Path, mark: str) -> No
         Experiment(read_data(path), ["u"], ["i"])
     assert Experiment(read_data(path, missing=[float(mark)]), ["u"], ["i"]).counted.sum() == COUNT - 2
     assert Experiment(read_data(path, missing=[]), ["u"], ["i"]).counted.sum() == COUNT
-
-
-@pytest.mark.parametrize("word", ["OL", "∞", "#VALUE!", "---"])
-def test_words_of_instruments_are_no_sample(tmp_path: Path, word: str) -> None:
-    cells = [f"{each:.6g}" for each in signal(TIMES)]
-    cells[7] = word
-    assert (
-        Experiment(read_data(written(tmp_path, time=TIMES, u=signal(TIMES), i=cells)), ["u"], ["i"]).counted.sum()
-        == COUNT - 1
-    )
 
 
 @pytest.mark.parametrize("encoding", ["cp932", "gbk", "utf-16-le", "utf-8", "cp1252"])

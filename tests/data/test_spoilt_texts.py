@@ -10,8 +10,7 @@ from random import Random
 import numpy as np
 import pytest
 
-from fmuid.data import Experiment, read_data
-from fmuid.errors import InputError
+from fmuid import Experiment, InputError, read_data
 from tests.support import instrument_texts, spoilt_texts
 from tests.support.table_variants import DATES, FRAME, ROWS
 

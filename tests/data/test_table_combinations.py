@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmuid.data import Experiment, read_data
-from fmuid.errors import InputError
+from fmuid import Experiment, InputError, read_data
 from fmuid.units import parse_unit
 from tests.support.table_combinations import Written, drawn
 

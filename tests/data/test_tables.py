@@ -8,9 +8,8 @@ import pandas as pd
 import pytest
 from scipy.io import savemat
 
-from fmuid.data import Experiment
-from fmuid.data.data_file import numeric_column, read_data
-from fmuid.errors import InputError
+from fmuid import Experiment, InputError, read_data
+from fmuid.data import numeric_column
 from tests.support.mat4 import characters, write_mat4
 
 TIMES = np.array([0.0, 0.1, 0.25, 0.25, 0.4])

@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from fmuid import InputError
 from fmuid.data.signals import concordia_transform, inverse_concordia, inverse_park, park_transform
-from fmuid.errors import InputError
 
 PHASES = ("a", "b", "c")
 

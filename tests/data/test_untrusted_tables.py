@@ -15,9 +15,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from fmuid.data import read_data
+from fmuid import InputError, read_data
 from fmuid.data.readers.pandas_hdf import PickledObject, plain_value
-from fmuid.errors import InputError
 
 ROWS = 6
 DATES = pd.date_range("2026-03-01 10:00", periods=ROWS, freq="100ms")

@@ -13,11 +13,11 @@ import pytest
 from scipy import signal
 
 import fmuid
+from fmuid import InputError
 from fmuid.apps.cli.app import run
 from fmuid.diagnosis import MODEL_ERROR, CauseKind, Causes, CauseScale, ChangeEvidence
 from fmuid.diagnosis.causes import ChangeParameterSet, coordinates_of
 from fmuid.diagnosis.linearized_machine import LinearizedMachine
-from fmuid.errors import InputError
 from fmuid.reports.topics.diagnosis import verdict
 from tests.support.closed_forms import coil_response
 from tests.support.paths import FMUS

@@ -105,16 +105,6 @@ def test_names_over_draws(draws: int) -> None:
     assert np.mean([("1", "2") in each for each in named(0.0, 10.0, 10.0)]) >= 0.95
 
 
-def test_model_error_names_no_second_cause() -> None:
-    """A strong fault whose model is off by 3 % along another signature: alone with that error stated, two without."""
-    information, causes = causes_of(0.0, 1.2)
-    news = ScoreStatistics(information, information @ np.array([200.0, 0.0, 6.0]))
-    found, strict = name(news, causes, 0.01), name(news, causes, 0.01, model_error=0.0)
-    assert [each.names for each in found.named] == [("0",)]
-    assert found.temper == pytest.approx(1 + 0.05**2 * 200**2, rel=0.05)
-    assert (strict.named[0].names, strict.temper) == (("0", "2"), 1.0)
-
-
 def test_a_sensor_has_no_model_error() -> None:
     """A weak fault at a right angle to a strong sensor: both named; the sensor's effect is known."""
     information, causes = causes_of(0.0, math.pi / 2)

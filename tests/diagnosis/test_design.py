@@ -13,11 +13,9 @@ from scipy.signal import lfilter
 
 import fmuid
 from experiments.coil import study as coil
+from fmuid import Baseline, Design, Monitor, Rule
 from fmuid.data.signals import prbs, step_sequence
-from fmuid.diagnosis.baseline import Baseline
-from fmuid.diagnosis.design import Design, planned_experiment
-from fmuid.diagnosis.monitor import Monitor
-from fmuid.diagnosis.rule import Rule
+from fmuid.diagnosis import planned_experiment
 from fmuid.runs.faults import design_of
 from tests.support.plate import COLUMNS, PHASES, STD, TRUTH, Faults
 from tests.support.plate import record as plate_record

@@ -12,12 +12,12 @@ import pytest
 from scipy import stats
 
 import fmuid
+from fmuid import System
 from fmuid.codec import as_json
 from fmuid.diagnosis import MODEL_ERROR
 from fmuid.diagnosis.faults import common_mode
-from fmuid.models import System
 from fmuid.reports.topics.diagnosis import deviation_notes, diagnosis_notes, verdict
-from tests.support.plate import COLUMNS, INPUTS, SAMPLES, STD, TRUTH, Faults, Look, identified, record
+from tests.support.plate import COLUMNS, STD, TRUTH, Faults, Look, identified, record
 
 RATIO = fmuid.Parameter(0.0, min=0.0, nominal=0.01)
 FREE = fmuid.Parameter(0.0, nominal=0.01)
@@ -119,14 +119,6 @@ def test_indistinguishable_faults(look: Look, plate: fmuid.System) -> None:
     assert [each.odds for each in found.evidence.explanations] == pytest.approx([1.0, 1.0])
 
 
-def test_unexplained_change(look: Look) -> None:
-    experiment = drawn(9)
-    frame = experiment.frame.assign(x=experiment.frame["x"] + 0.2 * np.sin(np.arange(SAMPLES)))
-    found = look(fmuid.Experiment(frame, experiment.inputs, experiment.outputs))
-    assert (found.kind, found.unexplained.ratio > 2) == ("unexplained", True)
-    assert verdict(found).text.startswith("UNEXPLAINED CHANGE")
-
-
 @pytest.fixture(scope="module")
 def two(plate: fmuid.System) -> fmuid.System:
     """Return two plates with the same u, whose other inputs are their own."""
@@ -166,25 +158,6 @@ def test_a_fault_model_that_differs_at_zero_is_noted(look: Look, plate: fmuid.Sy
     found = look(drawn(13), faults={"wrong": fmuid.Fault(plate, {"ea": FREE}, values={"eb": 0.1})})
     assert found.mismatched == ("wrong",)
     assert any(note.message.endswith("MISMATCHED") for note in diagnosis_notes(found))
-
-
-def test_colored_residual_is_no_fault(look: Look, plate: fmuid.System) -> None:
-    """A slow disturbance, known from the healthy record: to white noise it would look like a fault."""
-
-    def disturbed(seed: int) -> fmuid.Experiment:
-        rng, experiment = np.random.default_rng(seed), record(None)
-        slow = np.convolve(rng.standard_normal(SAMPLES + 24), np.ones(25) / 5, mode="valid") * STD
-        frame = experiment.frame.copy()
-        frame[["ux", "uy", "vx", "vy"]] = 1.0 + 0.1 * INPUTS
-        for output, u, v, noise in (("x", "ux", "vx", slow), ("y", "uy", "vy", STD * rng.standard_normal(SAMPLES))):
-            frame[output] = TRUTH["g"] * frame[u] + TRUTH["h"] * frame[v] + noise
-        return fmuid.Experiment(frame, experiment.inputs, experiment.outputs)
-
-    fault = {"one": fmuid.Fault(plate, {"ea": FREE})}
-    found = look(disturbed(14), faults=fault, result=identified(plate, disturbed(15)))
-    assert found.kind == "healthy"
-    white = 2.0 * STD / math.sqrt(np.sum((0.1 * INPUTS[:, 0] + 1.0) ** 2))
-    assert found["one.ea"].std > white  # a mean over 25 samples; 5 for the sum of the residual, less for what wiggles
 
 
 def test_a_file_keeps_the_diagnosis(look: Look, tmp_path: Path) -> None:

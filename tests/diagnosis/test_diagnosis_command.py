@@ -12,10 +12,8 @@ import pytest
 import fmuid
 from fmuid.apps.cli.app import run
 from fmuid.codec import as_json
-from fmuid.events import Event
 from tests.support.plate import Look, record
 from tests.support.results import RESULT
-from tests.support.running import run_diagnosis
 
 STUDY = """
 [model]
@@ -61,31 +59,6 @@ def test_command(study: Path, look: Look, capsys: pytest.CaptureFixture[str]) ->
     assert explained.filter(like="fault.").std().mean() < explained.filter(like="healthy.").std().mean()
     causes = list(pd.read_csv(results / "diagnosis.csv")["cause"])
     assert causes == ["stator.ea", "stator.eb", "stator.ec", "rotor.size"]
-
-
-@pytest.mark.slow
-def test_python_does_what_the_command_does(study: Path) -> None:
-    """The same files and verdict; without a folder the verdict alone."""
-    theirs, mine = study.parent / "theirs", study.parent / "mine"
-    drawn = ["--figures", "png", "--no-report"]
-    assert run(["diagnose", str(study), "--no-isolation", "-o", str(theirs), *drawn]) == 1
-    found = run_diagnosis(study, mine, figures="png")
-    assert not found.healthy
-    assert {path.relative_to(mine) for path in found.files} == files_in(theirs) == files_in(mine)
-    assert (mine / "diagnosis.csv").read_bytes() == (theirs / "diagnosis.csv").read_bytes()
-    one, other = (json.loads((path / "diagnosis.json").read_text()) for path in (mine, theirs))
-    one["origin"]["date"] = other["origin"]["date"]
-    assert one == other
-    before, events = files_in(study.parent), list[Event]()
-    again = run_diagnosis(fmuid.Study.read(study), progress=events.append)
-    assert (again.files, again.healthy, files_in(study.parent)) == ((), False, before)
-    assert {event.task for event in events} == {"diagnosis"}
-    with pytest.raises(fmuid.InputError, match="in a folder"):
-        fmuid.run(study, command="diagnose", figures="png")
-
-
-def files_in(folder: Path) -> set[Path]:
-    return {path.relative_to(folder) for path in folder.rglob("*") if path.is_file()}
 
 
 def test_command_on_a_sound_machine(study: Path, capsys: pytest.CaptureFixture[str]) -> None:

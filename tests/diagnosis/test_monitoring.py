@@ -15,14 +15,12 @@ from scipy.signal import lfilter
 
 import fmuid
 from experiments.coil import study as coil
-from fmuid.data import BEGIN
-from fmuid.data.npz import read_arrays
-from fmuid.diagnosis import OnsetShape, SkippedWindow
-from fmuid.diagnosis.alarms import SOMETHING_ELSE, Alarm, Onset, Trend
-from fmuid.diagnosis.monitor import Monitor
-from fmuid.diagnosis.rule import Rule
+from fmuid import Monitor, Rule
+from fmuid.data import BEGIN, read_arrays
+from fmuid.diagnosis import SOMETHING_ELSE, Alarm, Onset, OnsetShape, SkippedWindow, Trend
 from fmuid.reports.topics.monitoring import MonitoringMessage, gap_remarks, monitoring_document, monitoring_remarks
-from fmuid.runs.faults import build_monitor, findings_of, rule_of
+from fmuid.runs import findings_of
+from fmuid.runs.faults import build_monitor, rule_of
 from tests.support.coil_records import warming
 from tests.support.plate import COLUMNS, PHASES, STD, TRUTH, Faults
 from tests.support.plate import record as plate_record

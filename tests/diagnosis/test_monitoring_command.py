@@ -14,9 +14,9 @@ import pytest
 
 import fmuid
 from experiments.coil import study as coil
+from fmuid import Rule
 from fmuid.apps.cli.app import run
-from fmuid.data.npz import read_arrays, write_arrays
-from fmuid.diagnosis.rule import Rule
+from fmuid.data import read_arrays, write_arrays
 from fmuid.diagnosis.window_evaluation import WindowEvaluation
 from fmuid.runs.faults import rule_of
 from tests.support.coil_records import warming

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from fmuid.diagnosis import OnsetShape
 from fmuid.diagnosis import onset_tracker as watching
 from fmuid.diagnosis.cause_ranking import log_bayes_factor
 from fmuid.diagnosis.causes import Cause
 from fmuid.diagnosis.change_detection import log_chance, log_limit
 from fmuid.diagnosis.information_matrix import ChangePrior
-from fmuid.diagnosis.onset import ChangeTransient, OnsetShape, estimate_onset
+from fmuid.diagnosis.onset import ChangeTransient, estimate_onset
 from fmuid.diagnosis.onset_tracker import Blocks, OnsetTracker, TrackerSettings
 
 LENGTH, BLOCKS, WINDOWS = 20, 5, 8

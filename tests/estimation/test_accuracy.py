@@ -5,14 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from fmuid import Normal, Parameter
 from fmuid.array_types import Floats
-from fmuid.data import Normal, Parameter
-from fmuid.estimation import (
-    AccuracyOutcome,
-    LeastSquares,
-    estimate_solver_error,
-    with_shift,
-)
+from fmuid.estimation import AccuracyOutcome, LeastSquares, estimate_solver_error, with_shift
 from fmuid.identification import identify
 
 TIMES = np.linspace(0.0, 1.0, 60)

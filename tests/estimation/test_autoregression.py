@@ -8,7 +8,8 @@ import pytest
 from scipy.signal import lfilter
 
 from fmuid.array_types import Floats, Indices
-from fmuid.estimation.noise.autoregression import Autoregression, fit, impulse_response, most_orders
+from fmuid.estimation import Autoregression
+from fmuid.estimation.noise.autoregression import fit, impulse_response, most_orders
 from fmuid.estimation.noise.low_frequency import Spectrum, slow_noise
 from fmuid.estimation.noise.model import innovations_matrix
 from tests.support.problems import ar1

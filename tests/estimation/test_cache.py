@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from fmuid import Cache, Marquardt, Noise, Parameter, Result
 from fmuid.array_types import Floats
-from fmuid.data import Noise, Parameter
-from fmuid.estimation import Cache, Evaluator, LeastSquares, Marquardt, Result, TerminationReason
+from fmuid.estimation import Evaluator, LeastSquares, TerminationReason
 
 TIMES = np.linspace(0.0, 3.0, 60)
 STARTS = {"a": Parameter(1.0), "k": Parameter(3.0), "c": Parameter(-1.0)}

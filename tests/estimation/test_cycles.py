@@ -21,23 +21,13 @@ from experiments.coverage.periodic_error import (
     square,
     without_error,
 )
+from fmuid import InputError, Noise, analyze_residuals
 from fmuid.array_types import Floats
-from fmuid.data import Noise
-from fmuid.errors import InputError
+from fmuid.estimation import LeastSquares, OutputSeries, sandwich_of
 from fmuid.estimation.noise.low_frequency import Bins, line_counts
-from fmuid.estimation.noise.output_series import OutputSeries, period_of
-from fmuid.estimation.noise.periodic_error import (
-    MeanCycle,
-    PeriodicError,
-    _floor,
-    _likelihoods,
-    _products,
-    _summed,
-)
-from fmuid.estimation.noise.sandwich import sandwich_of
-from fmuid.estimation.problem import LeastSquares
+from fmuid.estimation.noise.output_series import period_of
+from fmuid.estimation.noise.periodic_error import MeanCycle, PeriodicError, _floor, _likelihoods, _products, _summed
 from fmuid.identification import identify
-from fmuid.identification.residual_analysis import analyze_residuals
 from tests.support.problems import ar1
 
 

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fmuid import Parameter
 from fmuid.array_types import Floats
-from fmuid.data import Parameter
 from fmuid.errors import SensitivityUnavailableError
-from fmuid.estimation.finite_differences import BoundedFunction, Derivatives, SensitivityError, SensitivityMethod
-from fmuid.estimation.problem import LeastSquares
+from fmuid.estimation import LeastSquares, SensitivityError, SensitivityMethod
+from fmuid.estimation.finite_differences import BoundedFunction, Derivatives
 from fmuid.estimation.simulation_noise import noise_level, noise_steps, shares_of
 from fmuid.identification import identify
 

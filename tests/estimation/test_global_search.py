@@ -7,16 +7,10 @@ import pandas as pd
 import pytest
 from scipy.optimize import minimize_scalar
 
+from fmuid import GlobalSearch, InputError, Noise, Normal, Parameter, Result
 from fmuid.array_types import Floats
-from fmuid.data import Normal, Parameter
-from fmuid.data.noise import Noise
-from fmuid.errors import InputError
-from fmuid.estimation.cost_components import misfits
-from fmuid.estimation.evaluator import Evaluator
-from fmuid.estimation.global_search import GlobalSearch, Strategy, optima_table
-from fmuid.estimation.problem import LeastSquares
-from fmuid.estimation.result import Result
-from fmuid.estimation.search.state import TerminationReason
+from fmuid.estimation import Evaluator, LeastSquares, TerminationReason, misfits, optima_table
+from fmuid.estimation.global_search import Strategy
 from fmuid.events import Event, GlobalStep
 from fmuid.identification import identify
 from tests.support.sinusoids import FREQUENCY, METHODS, RANGE, TIMES, box, dense_minima, of_search, searched, sinusoid

@@ -7,16 +7,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from fmuid import Experiment, InputError, JointPrior, Marquardt, Noise, Parameter, Result, SimulationError
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
-from fmuid.data import Experiment, JointPrior, Parameter
-from fmuid.data.noise import Noise
-from fmuid.errors import InputError, SimulationError
-from fmuid.estimation.cost_function import prepare
-from fmuid.estimation.evaluator import Evaluator
-from fmuid.estimation.local_search import Marquardt
-from fmuid.estimation.problem import LeastSquares
-from fmuid.estimation.result import Result
+from fmuid.estimation import Evaluator, LeastSquares, prepare
 from fmuid.identification import identify
 from tests.support.problems import TIMES, Fake, simulate
 

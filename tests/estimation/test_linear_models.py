@@ -10,7 +10,6 @@ from scipy import signal, special
 
 import fmuid
 from fmuid.array_types import Floats
-from fmuid.data import Parameter
 from fmuid.estimation import (
     Estimator,
     LinearEstimate,
@@ -19,15 +18,8 @@ from fmuid.estimation import (
     instrumental_variables,
     linear_least_squares,
 )
-from fmuid.estimation.cost_function import prepare
 from fmuid.estimation.equation_error import StateVariableFilter
-from fmuid.estimation.evaluator import Evaluator
 from fmuid.estimation.linear import colored_covariance
-from fmuid.estimation.local_search import Marquardt
-from fmuid.estimation.problem import LeastSquares
-from fmuid.estimation.search.marquardt import Descent, iterate
-from fmuid.estimation.search.state import State
-from fmuid.identification import identify
 
 R, L = 4.0, 0.1
 STEP, SAMPLES = 1e-3, 1200
@@ -76,29 +68,6 @@ def test_straight_line_in_closed_form() -> None:
     assert found["slope"] == found.values[0]
     with pytest.raises(fmuid.InputError, match="'Q'"):
         found["Q"]
-
-
-@pytest.mark.parametrize("starts", [(1.0, -1.0, 1.0), (-500.0, 500.0, 1e-6)])
-def test_marquardt_finds_the_closed_form_in_two_steps(starts: tuple[float, float, float]) -> None:
-    """On a linear model the Gauss–Newton step is exact, but for the error of differences."""
-    t = np.linspace(0.0, 1.0, 80)
-    phi = np.column_stack([np.ones(80), t, 1e3 * np.sin(9.0 * t)])
-    y = phi @ [1.5, -40.0, 2e-3] + 0.3 * np.random.default_rng(3).standard_normal(80)
-    fit = linear_least_squares(phi, y)
-    parameters = {name: Parameter(start) for name, start in zip("abc", starts, strict=True)}
-    problem = LeastSquares.from_function(lambda theta: phi @ theta, y, parameters)
-    start = prepare(Evaluator(problem))
-    first = State(start.theta, start.residual, start.jacobian)
-    states = list(iterate(Descent(Marquardt(first_radius=1e9)), start.criterion, first))
-    steps = [each.last for each in states if each.last is not None and each.last.number]
-    assert len(steps) <= 2
-    assert all(step.accepted for step in steps)
-    np.testing.assert_allclose(states[-1].theta, fit.values, rtol=1e-6)
-    result = identify(problem)
-    assert result.converged
-    np.testing.assert_allclose(result.values, fit.values, rtol=1e-6)
-    np.testing.assert_allclose(result.estimates.covariance_white_noise, fit.covariance, rtol=1e-5)
-    assert result.fit.noise_variance["y"] == pytest.approx(fit.variance, rel=1e-9)
 
 
 def test_missing_samples_do_not_count() -> None:

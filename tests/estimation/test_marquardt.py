@@ -7,16 +7,21 @@ import numpy as np
 import pytest
 from scipy.optimize import curve_fit, lsq_linear
 
+from fmuid import InputError, Marquardt, Parameter
 from fmuid.array_types import Floats
-from fmuid.data import Parameter
-from fmuid.errors import InputError
-from fmuid.estimation.cost_function import prepare
-from fmuid.estimation.evaluator import Evaluator
-from fmuid.estimation.local_search import Marquardt
-from fmuid.estimation.problem import LeastSquares
-from fmuid.estimation.search.marquardt import Descent, iterate
-from fmuid.estimation.search.state import Iteration, State, TerminationReason
-from fmuid.estimation.search.trust_region import REGION, LinearModel, Step, TrustRegion, triangle
+from fmuid.estimation import (
+    Descent,
+    Evaluator,
+    Iteration,
+    LeastSquares,
+    LinearModel,
+    State,
+    TerminationReason,
+    prepare,
+    triangle,
+)
+from fmuid.estimation.search.marquardt import iterate
+from fmuid.estimation.search.trust_region import REGION, Step, TrustRegion
 
 TIMES = np.linspace(0.0, 3.0, 120)
 TRUTH = np.array([3.0, 1.2, 0.5])

@@ -5,7 +5,7 @@ from functools import cache
 import pytest
 
 from experiments.nist.study import DIGITS, MODELS, Reference, digits, read, scipy_digits, solve
-from fmuid.estimation.result import Result
+from fmuid import Result
 from tests.support.paths import HERE
 
 FOLDER = HERE / "nist"

@@ -8,19 +8,13 @@ import pandas as pd
 import pytest
 from scipy import stats
 
+from fmuid import Experiment, InputError, Noise, Parameter, Result, analyze_residuals, compare_prior_and_data
 from fmuid.array_types import Floats
-from fmuid.data import Experiment, Noise, Parameter, robust_variance
-from fmuid.data.data_file import UNITS
-from fmuid.errors import InputError
-from fmuid.estimation.cost_components import fitted, misfits
-from fmuid.estimation.evaluator import Evaluator
+from fmuid.data import UNITS, robust_variance
+from fmuid.estimation import Evaluator, LeastSquares, misfits
+from fmuid.estimation.cost_components import fitted
 from fmuid.estimation.predictors import FunctionPredictor
-from fmuid.estimation.problem import LeastSquares
-from fmuid.estimation.result import Result
-from fmuid.identification import identify
-from fmuid.identification.prior_and_data import compare_prior_and_data
-from fmuid.identification.prior_data_tests import Deviation
-from fmuid.identification.residual_analysis import analyze_residuals
+from fmuid.identification import Deviation, identify
 from fmuid.identification.sampler import log_density
 from tests.support.problems import ar1
 

@@ -14,21 +14,15 @@ from scipy.optimize import minimize
 from scipy.stats import norm
 
 import fmuid
+from fmuid import InputError, Marquardt, Noise, Normal, Parameter, Result
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
-from fmuid.data import Experiment, Normal, Parameter
-from fmuid.data.noise import Noise
-from fmuid.errors import InputError
+from fmuid.estimation import LeastSquares, TerminationReason, linear_least_squares
 from fmuid.estimation import local_search as estimation
-from fmuid.estimation.linear import linear_least_squares
-from fmuid.estimation.local_search import Marquardt
-from fmuid.estimation.problem import LeastSquares
-from fmuid.estimation.result import Result
-from fmuid.estimation.search.state import TerminationReason
 from fmuid.events import Event, SearchStep
 from fmuid.identification import identify
-from fmuid.runs.findings import at_minimum
-from tests.support.problems import Fake, simulate, two_output_problem, two_outputs
+from fmuid.runs import at_minimum
+from tests.support.problems import two_output_problem, two_outputs
 from tests.support.results import RESULT
 
 
@@ -121,21 +115,6 @@ def test_optimum_of_prior_and_data() -> None:
     np.testing.assert_allclose(result.estimates.prior_z_score, (expected - [0.9, 2.6]) / [0.02, 0.1], rtol=1e-4)
 
 
-def test_parameters_shared_and_per_experiment() -> None:
-    rng, times = np.random.default_rng(3), np.linspace(0.0, 2.0, 50)
-    tables = []
-    for name, gain in (("first", 2.0), ("second", 5.0)):
-        y = simulate(1.5, gain) + rng.standard_normal((50, 2)) * [5.0, 1e-5]
-        tables.append(Experiment.of_arrays(name, times, ("a", "b"), y, np.ones((50, 2), dtype=np.bool_)))
-    parameters = {"k": Parameter(1.0, min=0.0), "gain": Parameter(3.0, per_experiment=True)}
-    result = identify(LeastSquares([Fake(), Fake()], tables, parameters))
-    assert result.names == ("k", "gain[first]", "gain[second]")
-    assert (np.abs(result.values - [1.5, 2.0, 5.0]) < 3.5 * result.std).all()
-    assert len(result.fit.frames) == 2
-    assert list(result.fit.frames[1].columns) == ["time", "measured.a", "simulated.a", "measured.b", "simulated.b"]
-    np.testing.assert_allclose(result.fit.frames[1]["simulated.a"], simulate(*result.values[[0, 2]])[:, 0])
-
-
 def test_an_interrupted_search_keeps_its_best_point() -> None:
     seen: list[SearchStep] = []
 
@@ -161,23 +140,6 @@ def test_unsettled_variances_and_iteration_limit_are_not_convergence(monkeypatch
     unsettled = identify(two_output_problem())
     assert unsettled.outcome is TerminationReason.UNSETTLED
     assert not (limited.converged or unsettled.converged or at_minimum(unsettled))
-
-
-def test_trace() -> None:
-    events: list[Event] = []
-    result = identify(two_output_problem(), progress=events.append)
-    seen = [event for event in events if isinstance(event, SearchStep)]
-    assert len(seen) == len(events)
-    assert list(result.trace.columns) == ["round", "iteration", "cost", "damping", "accepted", "k", "gain"]
-    assert result.trace["iteration"].tolist() == [i.number for i in seen]
-    assert result.trace["iteration"].iloc[-1] == result.history.iterations
-    assert result.trace[["k", "gain"]].iloc[0].tolist() == result.estimates.start.tolist()
-    assert result.trace["round"].iloc[-1] == len(result.history.rounds)
-    assert result.history.simulations < 45
-    assert result.history.elapsed_s > 0
-    elsewhere = identify(two_output_problem(), start=[1.4, 2.1])
-    assert elsewhere.estimates.start.tolist() == [1.4, 2.1]
-    np.testing.assert_allclose(elsewhere.values, result.values, rtol=1e-4)
 
 
 # --- files

@@ -8,15 +8,11 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq, least_squares, root
 
+from fmuid import Marquardt, Noise, Normal, Parameter, Result, profile_likelihood
 from fmuid.array_types import Floats
-from fmuid.data import Normal, Parameter
-from fmuid.data.losses import LOSSES, Loss, robust_variance
-from fmuid.data.noise import Noise
-from fmuid.estimation.local_search import Marquardt
-from fmuid.estimation.problem import LeastSquares
-from fmuid.estimation.result import Result
+from fmuid.data import LOSSES, Loss, robust_variance
+from fmuid.estimation import LeastSquares
 from fmuid.identification import identify
-from fmuid.identification.profile_likelihood import profile_likelihood
 
 NORMAL_SHARE = 1.0 - math.sqrt(2.0 / (math.pi * math.e))
 """Mean of min(x², 1) over the standard normal distribution."""

@@ -12,16 +12,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from fmuid import InputError, Parameter, Result
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
-from fmuid.data import Parameter
-from fmuid.errors import InputError
+from fmuid.estimation import LeastSquares, TerminationReason
 from fmuid.estimation.finite_differences import Derivatives
-from fmuid.estimation.problem import LeastSquares
-from fmuid.estimation.result import Result
-from fmuid.estimation.search.state import TerminationReason
 from fmuid.identification import identify
-from fmuid.runs.apply import apply_result
+from fmuid.runs import apply_result
 from tests.support.paths import FMUS
 from tests.support.results import RESULT
 

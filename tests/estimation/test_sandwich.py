@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from scipy import linalg
 from scipy.signal import lfilter
 
+from fmuid import Experiment
 from fmuid.array_types import Floats
-from fmuid.data import Experiment
-from fmuid.estimation.noise.autoregression import Autoregression, impulse_response
-from fmuid.estimation.noise.model import NoiseModel
-from fmuid.estimation.noise.output_series import OutputSeries, output_series, table_grid
-from fmuid.estimation.noise.sample_grid import Rows, SampleGrid
-from fmuid.estimation.noise.sandwich import ResidualNoise, SandwichSettings, sandwich
+from fmuid.estimation import Autoregression, NoiseModel, OutputSeries, ResidualNoise, Rows, output_series, sandwich
+from fmuid.estimation.noise.autoregression import impulse_response
+from fmuid.estimation.noise.output_series import table_grid
+from fmuid.estimation.noise.sample_grid import SampleGrid
+from fmuid.estimation.noise.sandwich import SandwichSettings
 from tests.support.problems import ar1
 
 SLOW, OSCILLATING = np.array([0.8]), np.array([1.6, -0.9])

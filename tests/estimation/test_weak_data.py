@@ -9,14 +9,11 @@ import pytest
 from numpy.typing import ArrayLike
 from scipy import stats
 
+from fmuid import Experiment, InputError, Noise, Normal, Parameter, Result
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
-from fmuid.data import Experiment, Normal, Parameter
-from fmuid.data.noise import Noise
-from fmuid.errors import InputError
-from fmuid.estimation.covariance import LIMITS, ActiveBound, IdentifiabilityLevel, WhitenedJacobian, local_covariance
-from fmuid.estimation.problem import LeastSquares
-from fmuid.estimation.result import Result
+from fmuid.estimation import ActiveBound, IdentifiabilityLevel, LeastSquares, WhitenedJacobian, local_covariance
+from fmuid.estimation.covariance import LIMITS
 from fmuid.identification import identify
 from tests.support.problems import CLOCK, Fake, coil, simulate, two_output_problem
 from tests.support.results import RESULT

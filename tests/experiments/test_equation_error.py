@@ -6,7 +6,8 @@ import pytest
 
 from experiments.coil import study as coil
 from experiments.equation_error import study
-from fmuid.estimation.equation_error import StateVariableFilter, Term
+from fmuid.estimation import Term
+from fmuid.estimation.equation_error import StateVariableFilter
 
 
 @pytest.fixture(scope="module")

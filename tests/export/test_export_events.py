@@ -1,19 +1,15 @@
 """If-expressions in exported models: relations make events, located in co-simulation, frozen in between."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-import scipy.integrate
 
 from fmuid.errors import ModelicaError
 from fmuid.export import export_fmu
 from tests.export.conftest import Exporter
 from tests.support.exported import both_versions, running
 from tests.support.modelica import FRICTION, friction, integrals, model
-
-solve_ivp: Any = scipy.integrate.solve_ivp  # its types do not allow for what events take
 
 
 @both_versions
@@ -79,45 +75,6 @@ def test_events_are_located(exported: Exporter) -> None:
                 accuracy = 1e-3 if "sqrt" in expression else 1e-11  # a root's slope is infinite where it begins
                 assert test.get(f"x{k}")[0] == pytest.approx(expected, abs=accuracy), expression
             test.fmu.reset()
-
-
-def test_order_is_kept_across_events(exported: Exporter) -> None:
-    """An oscillator with three springs, against scipy with its own event location."""
-    text = """model Springs
-  output Real x(start=1, fixed=true), v(start=0, fixed=true);
-equation
-  der(x) = v;
-  der(v) = if x > 0.1 then -x elseif x > -0.3 then -sin(x) - 0.1 else -4*x;
-  annotation(experiment(StopTime=20, Interval=0.02));
-end Springs;
-"""
-
-    def rates(_: float, z: np.ndarray, piece: int) -> list[float]:
-        return [z[1], [-z[0], -np.sin(z[0]) - 0.1, -4 * z[0]][piece]]
-
-    def upper(_: float, z: np.ndarray, __: int) -> float:
-        return float(z[0]) - 0.1
-
-    def lower(_: float, z: np.ndarray, __: int) -> float:
-        return float(z[0]) + 0.3
-
-    t, z, piece, events = 0.0, np.array([1.0, 0.0]), 0, 0
-    while t < 20:
-        found = [upper, lower] if piece == 1 else [upper] if piece == 0 else [lower]
-        for each in found:
-            each.terminal = True  # type: ignore[attr-defined]
-            # leaving the piece, not the crossing that it began with
-            each.direction = -1.0 if piece == 0 or (piece == 1 and each is lower) else 1.0  # type: ignore[attr-defined]
-        done = solve_ivp(rates, (t, 20), z, args=(piece,), method="DOP853", rtol=1e-12, atol=1e-13, events=found)
-        t, z = done.t[-1], done.y[:, -1]
-        if done.status == 1:
-            events += 1
-            piece = 1 if piece != 1 else 0 if len(done.t_events[0]) else 2
-    assert events > 10
-    with running(exported(text)) as springs:
-        springs.initialize()
-        springs.run(*[0.5] * 40)
-        np.testing.assert_allclose(springs.get("x", "v"), z, atol=1e-8)
 
 
 @both_versions

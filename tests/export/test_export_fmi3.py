@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmuid.errors import InputError
+from fmuid import InputError
 from fmuid.export import export_fmu
 from tests.export.conftest import Exporter
 from tests.support.exported import running

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fmuid.errors import InputError
+from fmuid import InputError
 from fmuid.export import export_fmu
 from tests.export.conftest import Exporter
 from tests.support.exported import Running, running

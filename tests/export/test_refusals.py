@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from fmuid.errors import InputError, ModelicaError
+from fmuid import InputError
+from fmuid.errors import ModelicaError
 from fmuid.export import export_fmu
 from tests.support.exported import here_only
 from tests.support.exporting import BASE

@@ -9,8 +9,9 @@ import pytest
 from scipy import stats
 
 import fmuid
+from fmuid import Result
 from fmuid.array_types import Flags, Floats
-from fmuid.estimation import Evaluator, Reason, Result, augmented
+from fmuid.estimation import Evaluator, Reason, augmented
 from fmuid.identification import SamplerSettings, judge
 from fmuid.identification.acquisition_delay import DELAY_PRIOR, delay_columns, secants, with_delay
 from tests.support.held_coil import COUNT, L, R, closed, held_voltage, problem_of

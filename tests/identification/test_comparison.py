@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from fmuid import InputError, Parameter, analyze_residuals, compare_models
 from fmuid.array_types import Floats
-from fmuid.data import Parameter
-from fmuid.errors import InputError
 from fmuid.estimation import Doubt, LeastSquares, Reason, Verdict
-from fmuid.identification import IncomparableError, ModelCandidate, analyze_residuals, compare_models, identify
+from fmuid.identification import IncomparableError, ModelCandidate, identify
 from tests.support.problems import ar1
 from tests.support.results import changed
 

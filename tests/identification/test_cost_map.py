@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from fmuid import InputError, Noise, Normal, Parameter, Result, map_cost
 from fmuid.array_types import Floats
-from fmuid.data import Noise, Normal, Parameter
-from fmuid.errors import InputError
-from fmuid.estimation import Evaluator, LeastSquares, Result
-from fmuid.identification import CostMap, map_cost
+from fmuid.estimation import Evaluator, LeastSquares
+from fmuid.identification import CostMap
 from tests.support.results import changed
 from tests.support.results import identify_white as identify
 

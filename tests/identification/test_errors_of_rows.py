@@ -11,8 +11,7 @@ import pytest
 
 import fmuid
 from fmuid.data import FrequencyExperiment, Response, RotatingFrame, SteadyExperiment
-from fmuid.identification import ErrorKind, find_model_errors
-from fmuid.identification.data_defects import DefectKind, find_data_defects
+from fmuid.identification import DefectKind, ErrorKind, find_data_defects, find_model_errors
 from fmuid.identification.outlying_rows import find_outlying_rows
 from tests.support.paths import FMUS
 from tests.support.resting import BISTABLE, MACHINE, induction_machine

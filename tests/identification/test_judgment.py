@@ -1,15 +1,14 @@
 """The verdict: each reason from the check that gives it."""
 
-import json
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
 import fmuid
+from fmuid import Result
 from fmuid.array_types import Floats
 from fmuid.estimation import (
     AccuracyOutcome,
@@ -20,7 +19,6 @@ from fmuid.estimation import (
     IdentifiabilityLevel,
     Optimum,
     Reason,
-    Result,
     SolverCheck,
     TerminationReason,
     Verdict,
@@ -131,11 +129,3 @@ def test_records_of_a_coil_are_judged(problem: fmuid.Problem, reason: Reason | N
     found = judge(result, fmuid.assess(problem, result))
     assert (found.grade is Grade.PASSED) == (reason is None)
     assert reason is None or reason in found.reasons
-
-
-def test_a_run_writes_and_reads_its_verdict(tmp_path: Path) -> None:
-    found = fmuid.run(fmuid.Study.of(fmuid.datasets.coil().study, "coil.toml"), tmp_path)
-    assert found.result.verdict is not None
-    content = json.loads((tmp_path / "result.json").read_text())["verdict"]
-    assert content["grade"] == found.result.verdict.grade.value
-    assert fmuid.Result.from_json(tmp_path / "result.json").verdict == found.result.verdict

@@ -10,10 +10,11 @@ import pytest
 import fmuid
 from experiments.starts.draws import INDUCTION_MACHINE, bits, draw, simulated
 from experiments.starts.study import problem
+from fmuid import Simulator
 from fmuid.array_types import Floats
 from fmuid.estimation import SearchFailure, StartingPointSource
 from fmuid.identification.equation_error_start import equation_start, states_from_outputs
-from fmuid.simulation import RightHandSide, Simulator
+from fmuid.simulation import RightHandSide
 from tests.support.exported import export_text
 from tests.support.paths import FMUS
 

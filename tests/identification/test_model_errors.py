@@ -18,23 +18,26 @@ from scipy.special import ndtr
 from scipy.stats import f as f_distribution
 
 import fmuid
-from fmuid import codec
+from fmuid import Problem, Result, Simulator, assess, codec
 from fmuid.array_types import Floats
 from fmuid.data import SteadyExperiment
-from fmuid.estimation import AccuracyOutcome, Evaluator, Grade, LeastSquares, Reason, Result, with_shift
-from fmuid.identification import Assessment, ErrorKind, ModelErrors, Problem, assess, find_model_errors, judge, refit
-from fmuid.identification.data_defects import (
+from fmuid.estimation import AccuracyOutcome, Evaluator, Grade, LeastSquares, Reason, with_shift
+from fmuid.identification import (
+    Assessment,
     DefectKind,
-    clipped_ends,
-    converter_step,
+    ErrorKind,
+    ModelErrors,
     find_data_defects,
+    find_model_errors,
+    judge,
+    refit,
     without_clipped,
 )
+from fmuid.identification.data_defects import clipped_ends, converter_step
 from fmuid.identification.directed_tests import largest_scores, probability_of
 from fmuid.identification.feedback import find_feedback
 from fmuid.identification.final_covariance import include_uneven_noise
 from fmuid.identification.linearized_record import LinearizedRecord, exponentials
-from fmuid.simulation import Simulator
 from tests.support.held_coil import COIL, COUNT, STEP, TIMES, L, R, closed, held_voltage, problem_of
 from tests.support.verdict_scenes import SUBSTEPS, plain, read
 from tests.support.verdict_scenes import integrated as fine_states
@@ -83,10 +86,6 @@ def identified(scene: str, seed: int = 0) -> tuple[Problem, Result]:
             noise[k] = 0.6 * noise[k - 1] + 0.8 * noise[k]
     problem = problem_of(u, i + level * noise)
     return problem, fmuid.identify(problem)
-
-
-def problem_noise() -> Floats:
-    return 0.1 * np.random.default_rng(1).standard_normal(COUNT)
 
 
 def found_in(scene: str) -> ModelErrors:
@@ -306,17 +305,6 @@ def test_feedback_is_an_f_test_of_two_regressions() -> None:
 
 
 # --- refit
-
-
-def test_refit_frees_a_delay() -> None:
-    problem, result = identified("half a sample late")
-    assert (np.abs(result.values - [R, L]) > 2.0 * result.std).any()
-    again = refit(problem.as_in(result), result, found_in("half a sample late"))
-    assert again is not None and again.found is not None and not again.found.errors
-    (freed,) = again.found.freed
-    assert freed.test.size == pytest.approx(0.5, abs=3.0 * freed.test.std) and freed.test.std < 0.15
-    assert (np.abs(again.result.values[:2] - [R, L]) < 3.0 * again.result.std[:2]).all()
-    assert again.result.names[:2] == again.found.names == ("R", "L") and ErrorKind.DELAY in freed.kinds
 
 
 def test_refit_weighs_samples_by_their_own_noise() -> None:

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 import fmuid
+from fmuid import InputError, System
 from fmuid.data import Nameplate
-from fmuid.errors import InputError
 from fmuid.identification import nameplate_prior
-from fmuid.models import System
 from tests.support.paths import FMUS
 from tests.support.resting import MACHINE, OMEGA, induction_machine
 

@@ -8,10 +8,9 @@ import pytest
 from scipy import stats
 
 from experiments.interval_coverage import coverage
-from fmuid.data import JointPrior, Noise, Normal, Parameter
-from fmuid.errors import InputError
+from fmuid import InputError, JointPrior, Noise, Normal, Parameter, sample_posterior
 from fmuid.estimation import LeastSquares
-from fmuid.identification import Posterior, SamplerSettings, SamplingWarning, sample_posterior
+from fmuid.identification import Posterior, SamplerSettings, SamplingWarning
 from tests.support.posteriors import Array, linear, sampled
 from tests.support.results import identify_white as identify
 
@@ -34,24 +33,6 @@ def test_linear_gaussian() -> None:
     unit = np.outer(std, std)
     allowed = ERRORS * np.sqrt((1.0 + (covariance / unit) ** 2) / size)
     np.testing.assert_array_less(np.abs(posterior.covariance - covariance) / unit, allowed)
-
-
-@pytest.mark.slow
-def test_linear_student() -> None:
-    """Variance estimated from few samples: the intervals are Student's, clearly wider than normal ones."""
-    problem, phi = linear(samples=7)
-    posterior, result = sampled(problem, effective_size=5000)
-    theta, square, *_ = np.linalg.lstsq(phi, problem.measured)
-    std = np.sqrt(square[0] / 5 * np.diag(np.linalg.inv(phi.T @ phi)))
-    student = stats.t(5)
-    error = math.sqrt(0.025 * 0.975 / posterior.effective_size.min()) / student.pdf(student.ppf(0.025))
-    allowed = ERRORS * error
-    assert student.ppf(0.975) - stats.norm.ppf(0.975) > 2.0 * allowed  # or the test could not tell them apart
-    for quantile, end in ((student.ppf(0.025), "lower"), (student.ppf(0.975), "upper")):
-        found = (posterior.intervals()[end].to_numpy() - theta) / std
-        np.testing.assert_allclose(found, [quantile] * 2, rtol=0, atol=allowed)
-        local = (result.intervals()[end].to_numpy() - theta) / std
-        np.testing.assert_allclose(found, local, rtol=0, atol=allowed)
 
 
 @pytest.mark.slow

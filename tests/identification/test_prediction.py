@@ -9,13 +9,10 @@ import pytest
 from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
+from fmuid import Experiment, InputError, Parameter, Problem, Result, SimulationError, Simulator
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
-from fmuid.data import Experiment, Parameter
-from fmuid.errors import InputError, SimulationError
-from fmuid.estimation import Result
-from fmuid.identification import Problem, identify, predict_by_model, prediction
-from fmuid.simulation import Simulator
+from fmuid.identification import identify, predict_by_model, prediction
 from fmuid.simulation.observed import Simulations
 from tests.support.paths import FMUS
 from tests.support.results import changed

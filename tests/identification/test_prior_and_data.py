@@ -9,24 +9,29 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from fmuid import (
+    InputError,
+    JointPrior,
+    Noise,
+    Normal,
+    Parameter,
+    Problem,
+    Result,
+    Study,
+    analyze_residuals,
+    compare_prior_and_data,
+)
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
-from fmuid.data import JointPrior, Noise, Normal, Parameter
-from fmuid.errors import InputError
-from fmuid.estimation import Autoregression, LeastSquares, Result, linear_least_squares
-from fmuid.estimation.noise.sandwich import SandwichCovariance
+from fmuid.estimation import Autoregression, LeastSquares, SandwichCovariance, linear_least_squares
 from fmuid.identification import (
     Deviation,
     ExtrapolationReason,
     PriorDataComparison,
     PriorInfluence,
-    Problem,
     ResidualAnalysis,
-    analyze_residuals,
-    compare_prior_and_data,
     identify,
 )
-from fmuid.studies import Study
 from tests.support.paths import ROOT
 from tests.support.problems import ar1
 from tests.support.results import changed

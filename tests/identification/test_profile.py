@@ -9,9 +9,8 @@ import pytest
 from scipy.optimize import brentq, least_squares
 from scipy.stats import f as f_distribution
 
-from fmuid.data import Noise, Parameter
-from fmuid.errors import InputError
-from fmuid.estimation import ActiveBound, LeastSquares, Result
+from fmuid import InputError, Noise, Parameter, Result
+from fmuid.estimation import ActiveBound, LeastSquares
 from fmuid.identification import EndKind, Profile, profile_likelihood
 from tests.support.problems import coil as faulty_coil
 from tests.support.results import identify_white as identify

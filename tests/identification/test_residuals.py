@@ -8,13 +8,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from fmuid import Experiment, InputError, Noise, Normal, Parameter, analyze_residuals
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
-from fmuid.data import Experiment, Noise, Normal, Parameter
-from fmuid.errors import InputError
 from fmuid.estimation import LeastSquares
 from fmuid.estimation.predictors import FunctionPredictor
-from fmuid.identification import ResidualAnalysis, ResidualDefect, ResidualSeries, analyze_residuals, identify
+from fmuid.identification import ResidualAnalysis, ResidualDefect, ResidualSeries, identify
 from fmuid.identification.residual_series import examine_outputs
 from tests.support.problems import ar1
 from tests.support.results import changed

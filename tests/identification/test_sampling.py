@@ -7,10 +7,9 @@ import pytest
 from scipy import stats
 from scipy.integrate import quad
 
-from fmuid.data import Noise, Normal, Parameter
-from fmuid.errors import InputError
+from fmuid import InputError, Noise, Normal, Parameter, sample_posterior
 from fmuid.estimation import Evaluator, LeastSquares
-from fmuid.identification import SamplerSettings, sample_posterior
+from fmuid.identification import SamplerSettings
 from fmuid.identification.posterior import effective_size, r_hat
 from fmuid.identification.sampler import log_density
 from tests.support.posteriors import Array, linear, sampled

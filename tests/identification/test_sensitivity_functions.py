@@ -6,10 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmuid.data import Experiment, Normal, Parameter
-from fmuid.errors import InputError
+from fmuid import Experiment, InputError, Normal, Parameter, System
 from fmuid.identification import expected_accuracy, rank_excitations, sensitivity_functions
-from fmuid.models import System
 from tests.support.paths import FMUS
 
 COIL = System.of(FMUS / "Coil/Coil.fmu")

@@ -13,8 +13,9 @@ from scipy import stats
 from scipy.interpolate import CubicSpline
 
 import fmuid
+from fmuid import Parameter
 from fmuid.array_types import Floats
-from fmuid.data import Parameter, Sensor
+from fmuid.data import Sensor
 from fmuid.identification import find_model_errors
 from tests.support.winding_machine import MACHINE, STUDY_AXES, Condition, excitation, record, tables
 

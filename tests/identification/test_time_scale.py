@@ -6,10 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from fmuid import Experiment, Simulator
 from fmuid.apps.cli.options import DONE
-from fmuid.data import Experiment
 from fmuid.identification import TimeScaleMismatch, doubt_of_time
-from fmuid.simulation import Simulator
 from tests.support.coil_study import COIL, coil_table, fmuid_
 
 R, L = 4.0, 0.1

@@ -6,12 +6,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from fmuid import Noise, Parameter, assess, map_cost
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
-from fmuid.data import Noise, Parameter
 from fmuid.estimation import LeastSquares
 from fmuid.events import Event, ProfileStep, SamplingStep
-from fmuid.identification import Assessment, AssessmentSettings, SamplerSettings, assess, identify, map_cost
+from fmuid.identification import Assessment, AssessmentSettings, SamplerSettings, identify
 
 ALL = AssessmentSettings(0.9, ("a", "b"), SamplerSettings(max_steps=600, effective_size=600), (("a", "b"),))
 

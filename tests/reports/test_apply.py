@@ -11,18 +11,12 @@ import pytest
 from fmpy.ssp import ssd as fmpy_ssd
 from fmpy.validation import validate_fmu
 
+from fmuid import FMU, Experiment, InputError, Result, Simulator, System
 from fmuid.apps.cli.app import run
 from fmuid.apps.cli.options import DONE, WRONG_INPUT
-from fmuid.data.experiment import Experiment
-from fmuid.errors import InputError
-from fmuid.estimation.result import Result
-from fmuid.models import FMU
-from fmuid.models.description import Unit
-from fmuid.models.ssv import Quantity, read_ssv, write_ssv
-from fmuid.models.start_values import with_starts
-from fmuid.models.system import System
-from fmuid.runs.apply import AppliedValue, apply_result, write_estimates
-from fmuid.simulation.simulator import Simulator
+from fmuid.models import Quantity, Unit, read_ssv, with_starts, write_ssv
+from fmuid.runs import AppliedValue, apply_result
+from fmuid.runs.apply import write_estimates
 from tests.support.fmu_texts import FMI_3
 from tests.support.paths import FMUS
 from tests.support.results import result

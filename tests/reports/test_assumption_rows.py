@@ -2,9 +2,9 @@
 
 import pytest
 
+from fmuid import Study
 from fmuid.reports.topics.assumption_rows import assumption_rows, guessed_keys
 from fmuid.runs import identified
-from fmuid.studies import Study
 from tests.support.coil_study import STUDY, coil_table
 
 GUESSED = STUDY.replace('= "zoh"', '= "zoh"  # guessed from constant stretches')

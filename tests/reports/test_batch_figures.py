@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from fmuid.reports.document import Document
+from fmuid import Document
 from fmuid.reports.publish import write_figures
 from fmuid.reports.render.html import page
 from fmuid.reports.topics import batch as topic

@@ -9,17 +9,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmuid.errors import InputError
-from fmuid.estimation import Result
+from fmuid import InputError, Result
 from fmuid.identification import CostMap
 from fmuid.reports import chart
-from fmuid.reports.topics import (
-    estimates,
-    fit,
-    optimization,
-    prior_and_data,
-    residual_analysis,
-)
+from fmuid.reports.topics import estimates, fit, optimization, prior_and_data, residual_analysis
 from fmuid.reports.topics import uncertainty_charts as uncertainty
 from fmuid.simulation import InputSignals
 from tests.support import records

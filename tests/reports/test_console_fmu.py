@@ -11,7 +11,7 @@ import pytest
 import fmuid
 from fmuid.apps.cli.app import run
 from fmuid.apps.cli.options import DONE, WRONG_INPUT
-from fmuid.models.fmu_summary import FmuSummary, facts, lines
+from fmuid.models import FmuSummary, facts, lines
 from fmuid.reports.render.console import console, show_listing, show_notes
 from fmuid.reports.topics.models import facts_document
 from fmuid.reports.topics.solver_check import capability_words, run_words

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fmuid.errors import InputError
+from fmuid import Document, InputError
+from fmuid.reports import write_report
 from fmuid.reports.chart import ChartGrid
-from fmuid.reports.document import Document, Message, Remark, Section, table_of
-from fmuid.reports.publish import publish, write_report
+from fmuid.reports.document import Message, Remark, Section, table_of
+from fmuid.reports.publish import publish
 from fmuid.reports.render.document_json import DOCUMENT_FILE, read_documents
 from tests.support.charts import EVIL, every_mark
 

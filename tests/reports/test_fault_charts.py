@@ -14,16 +14,24 @@ import pytest
 from rich.console import Console
 from rich.text import Text
 
-from fmuid.diagnosis import BaselineSource, Coverage
-from fmuid.diagnosis.alarms import Alarm, Trend
-from fmuid.diagnosis.cause_results import CauseScore, ChangeEvidence, EstimatedChange, Explanation
-from fmuid.diagnosis.causes import CauseKind
+from fmuid.diagnosis import (
+    Alarm,
+    BaselineSource,
+    CauseKind,
+    CauseScore,
+    ChangeEvidence,
+    Coverage,
+    EstimatedChange,
+    Explanation,
+    Trend,
+)
 from fmuid.diagnosis.unexplained_residual import NOTHING_LEFT
 from fmuid.reports.render import following
 from fmuid.reports.render.following import FollowingDisplay
 from fmuid.reports.topics import diagnosis, monitoring
 from fmuid.reports.topics.monitoring import alarm_sentence
-from fmuid.runs.follow import AlarmLines, FollowStatus
+from fmuid.runs import FollowStatus
+from fmuid.runs.follow import AlarmLines
 from tests.support.charts import drawn, places
 
 

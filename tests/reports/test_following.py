@@ -20,7 +20,7 @@ import pytest
 import fmuid
 from experiments.coil import study as coil
 from fmuid.apps.cli.app import run
-from fmuid.data.npz import read_arrays, write_arrays
+from fmuid.data import read_arrays, write_arrays
 from fmuid.diagnosis import SkippedWindow
 from fmuid.diagnosis import monitor as monitoring
 from fmuid.diagnosis.monitor_store import MonitorStore
@@ -30,9 +30,9 @@ from fmuid.reports import write_report
 from fmuid.reports.render.console import console
 from fmuid.reports.render.following import state
 from fmuid.reports.topics.monitoring import gap_remarks
+from fmuid.runs import FollowStatus
 from fmuid.runs import follow as following
 from fmuid.runs import log_follower as follower
-from fmuid.runs.follow import FollowStatus
 from tests.support.coil_records import warming
 from tests.support.running import run_following, run_monitoring
 

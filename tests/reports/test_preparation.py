@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 
 import fmuid
+from fmuid import Study
 from fmuid.reports.documents import document
 from fmuid.reports.topics.preprocessing import preparation_words, preprocessing_sections
-from fmuid.studies import Study
 from tests.support.coil_study import COIL, coil_table
 from tests.support.running import run_diagnosis, run_study
 
@@ -48,15 +48,6 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
     frame.assign(shunt=frame["i"] * 50.0).to_csv(folder / "run.csv", index=False)
     (folder / "study.toml").write_text(STUDY.format(fmu=COIL.as_posix()))
     return Study.read(folder / "study.toml")
-
-
-@pytest.fixture(scope="module")
-def raw(study: Study) -> pd.DataFrame:
-    return pd.read_csv(study.path.parent / "run.csv")
-
-
-def rows(table: pd.DataFrame, column: str, stage: str) -> pd.DataFrame:
-    return table[(table["column"] == column) & (table["stage"] == stage)]
 
 
 def test_report_shows_preprocessing(study: Study, tmp_path: Path) -> None:

@@ -9,30 +9,29 @@ import numpy as np
 import pytest
 
 import fmuid
+from fmuid import Result
 from fmuid.codec import as_json, from_json
 from fmuid.estimation import (
     AccuracyOutcome,
+    ActiveBound,
     IdentifiabilityLevel,
     RefinementRefusal,
     RefinementStep,
-    Result,
     RunFields,
     SolverCheck,
     SwitchCause,
     TerminationReason,
     WeakDirection,
 )
-from fmuid.estimation.covariance import ActiveBound
 from fmuid.formatting import with_std
-from fmuid.identification import ResidualDefect
-from fmuid.identification.prior_and_data import ExtrapolationReason
+from fmuid.identification import ExtrapolationReason, ResidualDefect
 from fmuid.models import SolverConfiguration
 from fmuid.reports.document import Message, Remark, doubt
 from fmuid.reports.topics import uncertainty
 from fmuid.reports.topics.prior_and_data import obstacle_remark
 from fmuid.reports.topics.residual_analysis import residual_phrases
 from fmuid.reports.topics.termination import state_and_reason
-from fmuid.runs.findings import at_minimum
+from fmuid.runs import at_minimum
 from tests.support.results import changed
 from tests.support.said import direction_words, ending, result_words, solver_words
 

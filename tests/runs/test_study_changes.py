@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 
 import fmuid
+from fmuid import Study
 from fmuid.estimation import Grade
 from fmuid.runs import ChangeKind, IdentificationRun, identified
-from fmuid.studies import Study
 from tests.support.coil_study import STUDY, coil_table
 
 FIXED = STUDY.replace("[[experiments]]", "fixed = { L = 0.13 }\n[[experiments]]").partition("L = { start")[0]

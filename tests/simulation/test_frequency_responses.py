@@ -12,9 +12,8 @@ import pytest
 import scipy.stats
 
 import fmuid
-from fmuid.data import FrequencyExperiment, Noise, Response
-from fmuid.errors import FmuidError, InputError
-from fmuid.models import System
+from fmuid import FmuidError, InputError, Noise, System
+from fmuid.data import FrequencyExperiment, Response
 from fmuid.simulation import simulator_of
 from tests.support.resting import SATURATED, SYNCHRONOUS, SYNCHRONOUS_VALUES, saturated_motor, standstill_responses
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import fmuid
+from fmuid import Parameter
 from fmuid.array_types import Floats
-from fmuid.data import Angle, Observation, Parameter, Sensor
+from fmuid.data import Angle, Observation
 from fmuid.simulation import derivatives_of
 from tests.support.winding_machine import MACHINE, STUDY_AXES, record
 
@@ -68,19 +69,6 @@ def test_sensors_cost_no_simulation() -> None:
 
     replace(observed, simulate=counted).readings(thetas, own.own)  # type: ignore[arg-type]
     assert calls == [1]
-
-
-def test_parameters_of_sensors_are_estimated_with_their_priors() -> None:
-    frame = record(1500, noise=0.02, seed=5).copy()
-    frame["ib"] *= 1.03
-    sensor = Sensor(gain=Parameter(1.0, prior=fmuid.Normal(1.0, 0.05)))
-    experiment = fmuid.Experiment(frame, ["w"], observation=replace(STUDY_AXES, sensors={"ib": sensor}))
-    parameters = {name: Parameter(1.3 * value, min=0.0) for name, value in MACHINE.items()}
-    result = fmuid.identify(fmuid.Problem(FMU, experiment, parameters))
-    assert result.names == (*NAMES, "gain(ib)")
-    scores = (result.values - [*TRUE, 1.03]) / result.std
-    assert np.abs(scores).max() < 3.5
-    assert result.std[-1] < 0.01
 
 
 def test_parameters_without_a_sensor_are_refused() -> None:

@@ -14,9 +14,8 @@ import pytest
 import scipy.stats
 
 import fmuid
+from fmuid import FmuidError, System
 from fmuid.data import RotatingFrame, SteadyExperiment
-from fmuid.errors import FmuidError
-from fmuid.models import System
 from fmuid.simulation import AnySimulator, simulator_of
 from tests.support.packing import pack
 from tests.support.paths import FMUS
@@ -141,20 +140,6 @@ def test_coupled_fmus_that_never_rest_say_so(made: Callable[[str], Path]) -> Non
     experiment = SteadyExperiment(pd.DataFrame({"a.u": [0.0, 1.0], "b.x": [1.0, 1.0]}), ["a.u"], ["b.x"])
     with pytest.raises(FmuidError, match=r"row 1: outputs do not come to rest. Remove the row"):
         simulator_of(pair, experiment, ["b.a"])([1.0])
-
-
-def test_a_machine_is_identified_from_its_load_points() -> None:
-    table, random = three_tests(), np.random.default_rng(3)
-    for name in ("I", "P"):
-        table[name] *= 1.0 + 0.003 * random.normal(size=len(table))
-    experiment = SteadyExperiment(table, outputs={"I_rms": "I", "P": "P"}, supply=RotatingFrame(50.0, "U", slip="s"))
-    factors = zip(MACHINE.items(), (2.0, 0.4, 0.5, 2.5), strict=True)
-    starts = {name: fmuid.Parameter(factor * value, min=1e-3) for (name, value), factor in factors}
-    result = fmuid.identify(fmuid.Problem(INDUCTION, experiment, starts))
-    assert result.converged
-    assert result.accuracy is None  # nothing was integrated
-    assert (np.abs(result.values - list(MACHINE.values())) < 4.0 * result.std).all()
-    assert (result.std < 0.03 * result.values).all()
 
 
 @pytest.mark.campaign

@@ -11,10 +11,9 @@ import pandas as pd
 import pytest
 from scipy.linalg import expm
 
+from fmuid import InputError, Study
 from fmuid.apps.cli.options import DONE
 from fmuid.array_types import Floats
-from fmuid.errors import InputError
-from fmuid.studies import Study
 from tests.support.coil_study import COIL, fmuid_
 from tests.support.exported import export_text
 

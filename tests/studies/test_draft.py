@@ -11,14 +11,12 @@ import pandas as pd
 import pytest
 
 import fmuid
-from fmuid.errors import InputError
-from fmuid.models import read_description
-from fmuid.models.component import DEFAULT_INTEGRATOR, DEFAULT_TOLERANCE, INTEGRATORS
+from fmuid import InputError
+from fmuid.models import DEFAULT_INTEGRATOR, DEFAULT_TOLERANCE, INTEGRATORS, read_description
 from fmuid.reports.topics.init import remarks
-from fmuid.studies import Draft, check_output, skeleton, write_draft
-from fmuid.studies.init.draft import draft, match_data_files
+from fmuid.studies import Candidate, Draft, check_output, draft, match_data_files, skeleton, write_draft
 from fmuid.studies.init.lines import LINE_LENGTH
-from fmuid.studies.init.parameter_survey import Candidate, ParameterProposal, bounds
+from fmuid.studies.init.parameter_survey import ParameterProposal, bounds
 from fmuid.studies.model import NumericsSection
 from tests.support.fmu_texts import FMI2, FMI3, write_fmu
 from tests.support.paths import FMUS

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from fmuid.apps.cli.options import DONE, WRONG_INPUT
+from fmuid import Experiment, InputError, Simulator, Study
 from fmuid.array_types import Floats
-from fmuid.data import Experiment, Preprocessing, preprocess
-from fmuid.errors import InputError
-from fmuid.simulation import Simulator
-from fmuid.studies import Study
-from tests.support.coil_study import COIL, coil_table, fmuid_
+from fmuid.data import Preprocessing, preprocess
+from tests.support.coil_study import COIL, coil_table
 
 STUDY = """
 [model]
@@ -59,21 +55,6 @@ def test_preprocessing_is_the_same_as_by_hand(folder: Path) -> None:
     np.testing.assert_allclose(found.output_values, expected.output_values, rtol=1e-12, atol=1e-12)
 
 
-def test_segments_are_experiments_of_their_own(folder: Path) -> None:
-    read = study(folder, "segments = [[0.0, 0.2], [0.3, 0.5]]")
-    assert [each.name for each in read.experiments] == [each.name for each in read.tables] == ["run 1", "run 2"]
-    ends = [float(table.times[k]) for table in read.tables for k in (0, -1)]
-    assert ends == pytest.approx([0.0, 0.2, 0.3, 0.5])
-
-
-def test_filtered_and_resampled(folder: Path) -> None:
-    """Inputs and outputs go through the same filter, so that the estimates of a linear model stay where they are."""
-    plain = study(folder, "").identify()
-    read = study(folder, "lowpass_frequency = 60.0\nresample_interval = 0.004", interpolation="linear")
-    assert np.diff(read.tables[0].times) == pytest.approx(0.004)
-    np.testing.assert_allclose(read.identify().values, plain.values, rtol=0.03)
-
-
 @pytest.mark.parametrize(
     ("prepare", "said"),
     [
@@ -93,34 +74,6 @@ def test_filtered_and_resampled(folder: Path) -> None:
 def test_wrong_preprocessing_is_refused(folder: Path, prepare: str, said: str) -> None:
     with pytest.raises(InputError, match=said):
         _ = study(folder, prepare).tables
-
-
-def test_missing_samples_and_rows_name_the_remedy_that_fills_them(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (whole,) = study(folder, "").tables
-    table = pd.read_csv(folder / "run.csv")
-    row = int(np.flatnonzero(np.diff(table["u"]) == 0)[20]) + 1  # where holding changes nothing
-    table.assign(u=table["u"].where(table.index != row)).to_csv(folder / "run.csv", index=False)
-    with pytest.raises(InputError, match="fill_missing") as caught:
-        _ = study(folder, "").tables
-    remedy = re.search(r"fill_missing = {.*?}", str(caught.value))
-    assert remedy is not None
-    assert np.isfinite(study(folder, remedy[0]).tables[0].input_values).all()
-    (filled,) = study(folder, 'fill_missing = { u = "zoh" }\nmax_gap = 0.01').tables
-    np.testing.assert_array_equal(filled.input_values, whole.input_values)
-    begin, end = 100, 150
-    table.drop(index=range(begin, end)).to_csv(folder / "run.csv", index=False)
-    assert fmuid_("init", COIL, folder / "run.csv", "-o", folder / "begun.toml") != DONE
-    assert f"(row {begin})" in capsys.readouterr().out
-    with pytest.raises(InputError, match=rf"\(row {begin}\)") as caught:
-        _ = study(folder, "").tables
-    words = re.search(r"preprocess = { (fill_missing = {.*}), (max_gap = .*) }", str(caught.value))
-    assert words is not None
-    (filled,) = study(folder, "\n".join(words.groups())).tables
-    np.testing.assert_allclose(filled.times, whole.times, atol=1e-9)
-    assert np.isnan(filled.output_values).sum() == end - begin
-    assert fmuid_("simulate", folder / "study.toml", "--set", "experiments.0.preprocess.max_gap=0") == WRONG_INPUT
 
 
 # --- what differs between experiments -----------------------------------------------------

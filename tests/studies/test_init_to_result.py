@@ -10,12 +10,10 @@ import pandas as pd
 import pytest
 from scipy.integrate import solve_ivp
 
+from fmuid import Experiment, InputError, Study, System
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED
 from fmuid.array_types import Floats
-from fmuid.data import Experiment
-from fmuid.errors import InputError
-from fmuid.models import System, read_description
-from fmuid.studies import Study
+from fmuid.models import read_description
 from fmuid.studies.init.parameter_survey import ParameterProposal as Use
 from fmuid.studies.init.parameter_survey import Survey, _select, is_solver_setting, survey
 from fmuid.studies.init.start_parameters import is_start

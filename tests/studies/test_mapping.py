@@ -7,11 +7,11 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from fmuid import InputError, Study
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
-from fmuid.errors import InputError
 from fmuid.models import read_description
 from fmuid.reports.topics import init as console_draft
-from fmuid.studies import InitOptions, MatchReason, Study, match_data_files
+from fmuid.studies import InitOptions, MatchReason, match_data_files
 from fmuid.studies.init.column_matching import guess
 from tests.support.coil_study import COIL, coil_table, fmuid_
 from tests.support.paths import FMUS

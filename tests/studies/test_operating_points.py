@@ -11,9 +11,9 @@ import pandas as pd
 import pytest
 
 import fmuid
+from fmuid import InputError
 from fmuid.apps.cli.app import main
 from fmuid.codec import from_json
-from fmuid.errors import InputError
 from fmuid.identification import Contributions
 from fmuid.runs import read_fits
 from tests.support.paths import FMUS, ROOT

@@ -7,10 +7,8 @@ from typing import Any
 
 import pytest
 
-from fmuid.data import Normal, Parameter
-from fmuid.errors import InputError
-from fmuid.studies.study import Study
-from fmuid.studies.study_file import override
+from fmuid import InputError, Normal, Parameter, Study
+from fmuid.studies import override
 from tests.support.study_files import write
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import fmuid
-from fmuid.runs.predict import predict_with
+from fmuid.runs import predict_with
 from tests.support.winding_machine import MACHINE, record
 
 FMU = Path("fmus/InductionMachine/InductionMachine.fmu").resolve()

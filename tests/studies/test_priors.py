@@ -10,12 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fmuid.data import Normal
-from fmuid.errors import InputError
+from fmuid import FMU, InputError, Normal, Study
 from fmuid.estimation import TerminationReason
-from fmuid.models import FMU
 from fmuid.studies import SourceIssue
-from fmuid.studies.study import Study
 from tests.support.coil_study import COIL
 from tests.support.results import result
 from tests.support.said import source_words

@@ -15,9 +15,9 @@ from typing import Any
 import jsonschema
 import pytest
 
+from fmuid import InputError, Rule
 from fmuid.apps.cli.app import run
-from fmuid.diagnosis import FALSE_ALARM_LEVEL, Rule
-from fmuid.errors import InputError
+from fmuid.diagnosis import FALSE_ALARM_LEVEL
 from fmuid.studies.schema import reference, schema
 from fmuid.studies.section import SectionLocation
 from fmuid.studies.study_file import StudyFile

@@ -14,14 +14,11 @@ import pandas as pd
 import pytest
 
 import fmuid
+from fmuid import FMU, InputError, Result, Study
 from fmuid.apps.cli.options import DONE
 from fmuid.codec import as_json
-from fmuid.errors import InputError
-from fmuid.estimation import Result
 from fmuid.identification import ModelReference, predict_by_model
-from fmuid.models import FMU
 from fmuid.runs import cross_validate, fits_at, made_from, predict_with, records_like, study_of
-from fmuid.studies import Study
 from tests.support.coil_study import COIL, STUDY, coil_table, fmuid_
 from tests.support.paths import FMUS
 from tests.support.results import RESULT, result

@@ -8,15 +8,9 @@ from pathlib import Path
 import pytest
 
 import fmuid
-from fmuid.data import Normal, Parameter
-from fmuid.data.noise import Noise
-from fmuid.errors import InputError
-from fmuid.estimation import GlobalSearch
-from fmuid.estimation.local_search import Marquardt, Method
-from fmuid.identification.assessment import AssessmentSettings
-from fmuid.identification.posterior import SamplerSettings
-from fmuid.models.component import Numerics
-from fmuid.studies.study import Study
+from fmuid import GlobalSearch, InputError, Marquardt, Noise, Normal, Numerics, Parameter, Study
+from fmuid.estimation import Method
+from fmuid.identification import AssessmentSettings, SamplerSettings
 from tests.support.study_files import FULL, write
 
 METHOD = 'method = "levenberg-marquardt"'

@@ -7,10 +7,9 @@ from typing import Any
 
 import pytest
 
-from fmuid.errors import InputError
+from fmuid import InputError, Study
+from fmuid.studies import schema_text
 from fmuid.studies.renamed_keys import RENAMED_KEYS, RENAMED_VALUES
-from fmuid.studies.schema import schema_text
-from fmuid.studies.study import Study
 from tests.support.study_files import FULL, write
 
 MODEL, METHOD, MORE = 'interface = "co-simulation"', '"levenberg-marquardt"', "[noise]"

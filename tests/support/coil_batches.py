@@ -14,12 +14,12 @@ import pandas as pd
 import psutil
 
 from experiments.batches.campaign import family
+from fmuid import Batch, Study
+from fmuid.runs import BatchResult
 from fmuid.runs.batch import worker_pool as cluster
-from fmuid.runs.batch.batch import Batch, BatchResult
 from fmuid.runs.batch.case import VOLATILE, CaseRunner
 from fmuid.runs.batch.study_package import StudyPackage
 from fmuid.runs.batch.worker import run_group
-from fmuid.studies.study import Study
 from tests.support.coil_study import STUDY, fmuid_
 
 DRAWS = 30

@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from fmuid import Study
 from fmuid.runs.batch.case import VOLATILE
-from fmuid.studies.study import Study
 from tests.support.paths import FMUS
 
 COIL = FMUS / "Coil" / "Coil.fmu"

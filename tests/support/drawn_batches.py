@@ -7,12 +7,11 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from fmuid.reports.document import Document
+from fmuid import Document
 from fmuid.reports.render.console import show
 from fmuid.reports.topics.batch import state_of, summary_remarks
 from fmuid.reports.topics.batch_tables import noted, tables_of
-from fmuid.runs.batch.statistics import EstimateWarning
-from fmuid.runs.batch.summary import Summary
+from fmuid.runs import EstimateWarning, Summary
 
 Array = npt.NDArray[np.float64]
 

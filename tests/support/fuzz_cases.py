@@ -16,11 +16,10 @@ from typing import Any
 
 import pytest
 
+from fmuid import FmuidError, Study
 from fmuid.apps.cli.app import run
-from fmuid.errors import FmuidError
+from fmuid.runs import CaseList
 from fmuid.runs.batch.case import VOLATILE, CaseRunner
-from fmuid.runs.batch.case_list import CaseList
-from fmuid.studies.study import Study
 from tests.support import fuzz_inputs as good
 from tests.support import fuzz_spoil as spoil
 

@@ -13,12 +13,8 @@ import pandas as pd
 import psutil
 import pytest
 
+from fmuid import Experiment, Isolation, Numerics, SimulationError, Simulator, System
 from fmuid.array_types import Floats
-from fmuid.data.experiment import Experiment
-from fmuid.errors import SimulationError
-from fmuid.models.component import Isolation, Numerics
-from fmuid.models.system import System
-from fmuid.simulation.simulator import Simulator
 from tests.support.misbehaving import Mode, lag, misbehaving_fmu
 
 NAMES = ("gain", "T", "mode")

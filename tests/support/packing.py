@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from fmuid.errors import InputError
+from fmuid import InputError
 from fmuid.models.archive import unpacked
 
 

@@ -5,11 +5,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fmuid.data import Parameter
-from fmuid.estimation.problem import LeastSquares
-from fmuid.estimation.result import Result
-from fmuid.identification.posterior import Posterior, SamplerSettings
-from fmuid.identification.sampler import sample_posterior
+from fmuid import Parameter, Result, sample_posterior
+from fmuid.estimation import LeastSquares
+from fmuid.identification import Posterior, SamplerSettings
 from tests.support.results import identify_white as identify
 
 Array = npt.NDArray[np.float64]

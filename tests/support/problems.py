@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
+from fmuid import Parameter, SimulationError
 from fmuid.array_types import Floats
-from fmuid.data import Parameter
-from fmuid.errors import SimulationError
-from fmuid.estimation.problem import LeastSquares
+from fmuid.estimation import LeastSquares
 
 TIMES, CLOCK = np.linspace(0.0, 2.0, 50), np.linspace(0.0, 3.0, 100)
 

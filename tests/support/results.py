@@ -9,11 +9,19 @@ from typing import Any
 
 import numpy as np
 
+from fmuid import Result
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
-from fmuid.estimation import RESULT_SCHEMA, Estimates, Fit, History, Identifiability, Setup, TerminationReason
-from fmuid.estimation.problem import LeastSquares
-from fmuid.estimation.result import Result
+from fmuid.estimation import (
+    RESULT_SCHEMA,
+    Estimates,
+    Fit,
+    History,
+    Identifiability,
+    LeastSquares,
+    Setup,
+    TerminationReason,
+)
 from fmuid.identification import identify
 
 RESULT = {"schema": RESULT_SCHEMA}

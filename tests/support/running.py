@@ -5,7 +5,8 @@ from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
-from fmuid.reports import Document, published
+from fmuid import Document, Study
+from fmuid.reports import published
 from fmuid.reports.topics.monitoring import alarm_sentence
 from fmuid.runs import (
     DiagnosisRun,
@@ -21,7 +22,6 @@ from fmuid.runs import (
     predicted_by,
     read_monitoring,
 )
-from fmuid.studies import Study
 
 Given = Study | str | Path
 Found = TypeVar("Found", IdentificationRun, DiagnosisRun, MonitoringRun)

@@ -5,13 +5,11 @@ from functools import cache
 
 import numpy as np
 
+from fmuid import GlobalSearch, Noise, Parameter, Result
 from fmuid.array_types import Floats
-from fmuid.data import Parameter, ParameterSet
-from fmuid.data.noise import Noise
-from fmuid.estimation.evaluator import Evaluator
-from fmuid.estimation.global_search import GlobalSearch, Strategy
-from fmuid.estimation.problem import LeastSquares
-from fmuid.estimation.result import Result
+from fmuid.data import ParameterSet
+from fmuid.estimation import Evaluator, LeastSquares
+from fmuid.estimation.global_search import Strategy
 from fmuid.estimation.starting_points import Box
 from fmuid.events import Event, GlobalStep, Progress
 

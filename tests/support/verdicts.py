@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import fmuid
+from fmuid import assess
 from fmuid.array_types import Floats
 from fmuid.estimation import Verdict
-from fmuid.identification import Assessment, ErrorKind, ModelErrors, assess, find_model_errors, judge, refit
-from fmuid.identification.data_defects import without_clipped
+from fmuid.identification import Assessment, ErrorKind, ModelErrors, find_model_errors, judge, refit, without_clipped
 
 
 @dataclass(frozen=True)

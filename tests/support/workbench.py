@@ -9,9 +9,9 @@ from typing import Any
 
 from bokeh.document import Document
 
+from fmuid import Result
 from fmuid.apps.workbench import Folder, Workbench
 from fmuid.apps.workbench.jobs import Jobs
-from fmuid.estimation import Result
 from fmuid.reports.documents import document
 from fmuid.reports.render.document_json import write_documents
 from fmuid.runs import IdentificationRun

@@ -3,7 +3,6 @@
 import re
 import subprocess
 import sys
-import tomllib
 import warnings
 from pathlib import Path
 
@@ -11,13 +10,12 @@ import pandas as pd
 import pytest
 
 import fmuid
-from experiments.batches.campaign import R
+from fmuid import Study
 from fmuid.apps.cli import app as cli
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
 from fmuid.errors import ModelicaWarning
 from fmuid.studies import draft, match_data_files
-from fmuid.studies.study import Study
-from tests.support.coil_study import COIL, SECOND, STUDY, fmuid_, result
+from tests.support.coil_study import COIL, SECOND, STUDY, fmuid_
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
 
@@ -40,36 +38,6 @@ def test_simulate_several_experiments_and_api(folder: Path, capsys: pytest.Captu
 
 
 # --- info, init, export, help ------------------------------------------------------------
-
-
-def test_init_gives_a_study_that_runs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    frame = pd.read_csv(folder / "first.csv").assign(temperature=20.0).rename(columns={"time": "t"})
-    frame.to_csv(folder / "first.csv", index=False)
-    study = folder / "new.toml"
-    assert fmuid_("init", COIL, folder / "first.csv", "--output", study) == DONE
-    out = capsys.readouterr().out
-    assert out.count("same name") == 2
-    assert "temperature" in out
-    text = study.read_text()
-    content = tomllib.loads(text)
-    assert content["experiments"] == [
-        {
-            "data": "first.csv",
-            "time": "time",  # which t is too
-            "inputs": ["u"],
-            "outputs": ["i"],
-            "interpolation": "zoh",  # as the voltage shows
-            "warmup": 0.0,
-        }
-    ]
-    assert content["parameters"] == {"R": {"start": 4.0, "min": 0.0}, "L": {"start": 0.1, "min": 1e-9}}
-    assert re.search(r"^R = {.*}  # Ohm: resistance; [\d.]+ %$", text, re.MULTILINE)
-    assert "# i_start = { start = 0.0, nominal = 1.0 }  # A: initial current; " in text
-    assert "temperature" in text
-    assert "Next: fmuid identify " in out
-
-    assert fmuid_("identify", study) == DONE
-    assert result(folder / "results")["parameters"]["R"]["value"] == pytest.approx(R, rel=0.05)
 
 
 def test_preview_shows_columns_clocks_and_rows_and_writes_nothing(

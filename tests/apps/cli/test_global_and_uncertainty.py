@@ -7,10 +7,10 @@ import pandas as pd
 import pytest
 
 from experiments.batches.campaign import R
+from fmuid import Study
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED
 from fmuid.events import Event
 from fmuid.reports.render import progress
-from fmuid.studies.study import Study
 from tests.support.coil_study import HASTY, STUDY, fmuid_, result
 
 pytestmark = pytest.mark.usefixtures("blank_figures")

@@ -14,9 +14,9 @@ from scipy import stats
 
 import fmuid
 from experiments.batches.campaign import NOISE, L, R, coil_current
+from fmuid import Study
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
-from fmuid.studies.study import Study
-from tests.support.coil_study import HASTY, SECOND, STUDY, coil_table, fmuid_, result
+from tests.support.coil_study import HASTY, STUDY, coil_table, fmuid_, result
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
 
@@ -85,21 +85,6 @@ def test_identify_writes_tables_and_figures(identified: tuple[Path, str]) -> Non
     np.testing.assert_array_equal(fit["input.u"], table["u"])
     np.testing.assert_array_equal(fit["measured.i"], table["i"])
     assert np.abs(fit["simulated.i"] - coil_current(table["u"].to_numpy(), 0.0)).max() < NOISE / 5
-
-
-def test_identify_several_experiments(folder: Path) -> None:
-    study = folder / "study.toml"
-    study.write_text(STUDY + SECOND)
-    assert fmuid_("identify", study) == DONE
-    found = result(folder / "results")["parameters"]
-    assert list(found) == ["R", "L", "i_start[first]", "i_start[second]"]
-    assert found["i_start[first]"]["value"] == pytest.approx(0.0, abs=0.03)
-    assert found["i_start[second]"]["value"] == pytest.approx(0.2, abs=0.03)
-    fit = pd.read_csv(folder / "results/fit.csv")
-    assert list(fit.columns) == ["experiment", "time", "measured.i", "simulated.i", "input.u"]
-    assert fit["experiment"].value_counts().to_dict() == {"first": 600, "second": 600}
-    units = pd.read_csv(folder / "results/estimates.csv")["unit"]
-    assert units.tolist() == ["Ohm", "H", "A", "A"]
 
 
 def test_not_converged_or_interrupted(

@@ -3,8 +3,6 @@
 import errno
 import os
 import signal
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +11,10 @@ from matplotlib.figure import Figure
 
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
 from fmuid.apps.cli.signals import answering, handled, stopping
-from fmuid.estimation.evaluator import Evaluator
-from fmuid.estimation.problem import LeastSquares
+from fmuid.estimation import Evaluator, LeastSquares
 from fmuid.identification import conditional_optimum
 from fmuid.reports.render import progress
-from tests.support.coil_study import COIL, STUDY, fmuid_, result
+from tests.support.coil_study import STUDY, fmuid_, result
 from tests.support.interrupting import SIGNALS, command, killing
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
@@ -163,12 +160,3 @@ def test_no_room_for_figures(folder: Path, monkeypatch: pytest.MonkeyPatch, caps
     assert f"Written to {folder}/results/: result.json, estimates.csv, trace.csv" in out
     assert f"Written to {folder}/results/figures/: forest.png, hiding.png, fit.png" in out
     assert {path.name for path in figure.parent.iterdir()} == {"forest.png", "hiding.png", "fit.png"}
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
-def test_no_room_for_what_is_printed() -> None:
-    with Path("/dev/full").open("w") as output:
-        line = [sys.executable, "-m", "fmuid", "info", str(COIL)]
-        done = subprocess.run(line, stdout=output, stderr=subprocess.PIPE, text=True, check=False)
-    assert (done.returncode, done.stderr) == (1, "error: the standard output: No space left on device\n")

@@ -1,33 +1,21 @@
 """Studies whose FMU misbehaves: the search goes round the bad points, and commands end with one sentence."""
 
 import json
-import os
 import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
-import psutil
 import pytest
 
-from experiments.batches import misbehaviour
-from experiments.batches.campaign import rows
+from fmuid import Experiment, Isolation, Parameter, Problem, Study, System
 from fmuid.apps.cli.app import run
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED
-from fmuid.data import Parameter
-from fmuid.data.experiment import Experiment
-from fmuid.estimation.evaluator import Evaluator
-from fmuid.estimation.local_search import Marquardt
-from fmuid.estimation.problem import LeastSquares
-from fmuid.identification import Problem, identify
-from fmuid.models.component import Isolation
-from fmuid.models.system import System
-from fmuid.runs.batch.batch import Batch
-from fmuid.studies.study import Study
-from tests.support.isolated import RECORD_FRAME, TIMES, U, computing, wait_until
+from fmuid.estimation import LeastSquares
+from fmuid.identification import identify
+from tests.support.isolated import RECORD_FRAME, TIMES, U
 from tests.support.misbehaving import Mode, lag, misbehaving_fmu
-from tests.support.quick import first
 
 pytestmark = [
     pytest.mark.skipif(sys.platform == "win32", reason="processes of their own need fork"),
@@ -79,20 +67,6 @@ def problem(fmu: Path, mode: Mode, isolation: Isolation | None, gain: float = 8.
     )
 
 
-@pytest.mark.parametrize("mode", first(1, [Mode.SEGFAULT, Mode.GARBLE, Mode.EXIT_0, Mode.STUBBORN]))
-def test_a_search_goes_round_a_band_where_the_fmu_crashes(fmu: Path, mode: Mode) -> None:
-    """By the same way, bit for bit, as round a band where it returns fmi2Error in-process."""
-    plain = Evaluator(problem(fmu, Mode.RETURN_ERROR, None))
-    isolated = Evaluator(problem(fmu, mode, Isolation(time_limit=1.0 if mode == Mode.STUBBORN else 600.0)))
-    right, found = (Marquardt().search(each) for each in (plain, isolated))
-    assert found.converged
-    assert np.array_equal(found.values, right.values)
-    assert np.array_equal(found.std, right.std)
-    assert (isolated.simulations, isolated.failures) == (plain.simulations, plain.failures)
-    assert isolated.failures > 0
-    assert (np.abs(found.values - [TRUTH["gain"], TRUTH["T"]]) < 4 * found.std).all()
-
-
 def test_the_command_identifies_round_a_band(tmp_path: Path, fmu: Path) -> None:
     study = write_study(tmp_path, fmu, Mode.SEGFAULT, **BAND)
     assert run(["identify", str(study)]) == DONE
@@ -137,37 +111,3 @@ def test_a_study_is_isolated_where_it_is_asked_to_be(tmp_path: Path, fmu: Path) 
     path = write_study(tmp_path, fmu, Mode.SEGFAULT, **BAND)
     assert Study.read(path).system.isolation is None
     assert Study.read(path, isolated=True).system.isolation == Isolation(time_limit=600.0, memory_limit_mb=400.0)
-
-
-@pytest.mark.slow
-def test_ctrl_c_in_a_terminal_ends_a_command_whose_fmu_loops(tmp_path: Path, fmu: Path) -> None:
-    """A terminal sends it to all processes of the group; one sentence comes of it, and nothing stays."""
-    study = write_study(tmp_path, fmu, Mode.STUBBORN)
-    command = [sys.executable, "-m", "fmuid", "simulate", str(study)]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
-        try:
-            wait_until(lambda: computing(process.pid) or process.poll() is not None)
-            below = psutil.Process(process.pid).children(recursive=True)
-            os.killpg(process.pid, signal.SIGINT)
-            _, said = process.communicate(timeout=600)
-            assert not psutil.wait_procs(below, timeout=600)[1]
-        finally:
-            process.kill()
-    assert process.returncode == NOT_SUCCEEDED
-    assert "interrupted" in said
-    assert "Traceback" not in said
-
-
-@pytest.mark.slow
-def test_a_batch_in_which_every_fifth_case_misbehaves(tmp_path: Path) -> None:
-    """The campaign of experiments/batches in small: all rows are those of a run in-process, bit for bit."""
-    ways = (Mode.SEGFAULT, Mode.EXIT_0, Mode.MUTTER, Mode.STUBBORN, Mode.RUNAWAY)
-    held = misbehaviour.plan(60, 5, ways)
-    held.loc[held["mode"] == Mode.STUBBORN, ["bad_from", "bad_to"]] = misbehaviour.BAND  # else it takes its time
-    right = misbehaviour.in_peace(tmp_path, held)
-    Batch(misbehaviour.write_study(tmp_path, "war.toml", held, 1.0), tmp_path / "war", workers=2).run()
-    found = rows(tmp_path / "war")
-    assert misbehaviour.differences(found, right, held) == ""
-    # of the twelve that misbehave two only print, five go round a band, and the others fail
-    assert found["status"].value_counts().to_dict() == {"converged": 55, "failed": 5}
-    assert (found["rejected"] > 0).sum() == 10

@@ -10,9 +10,10 @@ from typing import Any
 import pandas as pd
 import pytest
 
+from fmuid import Document
 from fmuid.apps.cli.app import COMPLETION, app, run
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED
-from fmuid.reports.document import Column, Document, Message, Remark, Section
+from fmuid.reports.document import Column, Message, Remark, Section
 from fmuid.reports.render import console
 from tests.support.coil_study import STUDY, coil_table, fmuid_
 from tests.support.paths import FMUS

@@ -13,8 +13,8 @@ from urllib.parse import urlsplit
 
 import pytest
 
+from fmuid import InputError
 from fmuid.apps.workbench import Folder, Workbench, server
-from fmuid.errors import InputError
 from tests.support import plain_page
 from tests.support.workbench import PATIENCE, running
 

@@ -9,12 +9,12 @@ from random import Random
 import pandas as pd
 import pytest
 
+from fmuid import FmuidError
 from fmuid.apps.workbench import Folder
 from fmuid.apps.workbench.home import _results, _studies
 from fmuid.apps.workbench.pages import results as results_page
 from fmuid.apps.workbench.pages.batch import BatchPage
 from fmuid.apps.workbench.pages.study import StudyPage
-from fmuid.errors import FmuidError
 from tests.support.begun_batch import batch, write_part
 from tests.support.coil_study import STUDY
 from tests.support.fuzz_spoil import with_changed_type

@@ -9,11 +9,10 @@ from bokeh.document import Document
 from bokeh.models import Div
 
 import fmuid
+from fmuid import InputError, Study
 from fmuid.apps.cli.options import NOT_SUCCEEDED
 from fmuid.apps.workbench.pages.faults import FaultsPage
 from fmuid.apps.workbench.pages.panels import ResultsView
-from fmuid.errors import InputError
-from fmuid.studies import Study
 from tests.support.results import result
 from tests.support.running import run_diagnosis, run_monitoring, run_study
 from tests.support.workbench import PATIENCE, asked_for, bench_of, coil_study, described, finished

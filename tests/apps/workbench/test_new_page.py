@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from bokeh.document import Document
 
+from fmuid import Study
 from fmuid.apps.cli.options import DONE
 from fmuid.apps.workbench.pages.new import NewPage
-from fmuid.studies import Study
 from tests.support.coil_study import COIL, coil_table
 from tests.support.workbench import bench_of, finished
 

@@ -16,16 +16,15 @@ from bokeh.events import ButtonClick
 from bokeh.models import Button, ColumnDataSource, FileInput
 
 import fmuid
-from fmuid.apps.cli.options import DONE, WRONG_INPUT
+from fmuid import Result, Study
+from fmuid.apps.cli.options import DONE
 from fmuid.apps.workbench import Folder
 from fmuid.apps.workbench.home import _results, _studies
-from fmuid.apps.workbench.jobs import Jobs
 from fmuid.apps.workbench.pages.batch import BatchPage, case_settings
 from fmuid.apps.workbench.pages.live import ZoomedFit
 from fmuid.apps.workbench.pages.remedy_panel import UndeterminedResult
 from fmuid.apps.workbench.pages.results import PredictAction, WriteAction, _compared, build
 from fmuid.apps.workbench.project_folder import FoundResult, FoundStudy
-from fmuid.estimation import Result
 from fmuid.events import EVENTS, BatchStep, Event, GlobalStep, SearchStep, of_line
 from fmuid.reports.render.document_json import read_documents
 from fmuid.reports.render.progress import Display
@@ -33,10 +32,8 @@ from fmuid.reports.topics.fit import fit_charts
 from fmuid.runs import CaseList, made_from
 from fmuid.runs.batch.study_package import BatchStudy
 from fmuid.simulation import OutputFit
-from fmuid.studies import Study
 from tests.support.begun_batch import batch
 from tests.support.coil_study import COIL, STUDY, coil_table
-from tests.support.isolated import wait_until
 from tests.support.results import result
 from tests.support.running import run_study
 from tests.support.workbench import asked_for, bench_of, coil_study, described, finished
@@ -258,17 +255,6 @@ def test_result_is_exported_by_commands(tmp_path: Path) -> None:
         assert f"results/{written}<" in page.said.text
     found = fmuid.FMU(tmp_path / "results/Coil-identified.fmu").description.variables["R"].start
     assert found == pytest.approx(float(Result.from_json(tmp_path / "results/result.json")["R"]))
-
-
-@pytest.mark.slow
-def test_command_is_run_and_its_output_kept(tmp_path: Path) -> None:
-    jobs = Jobs()
-    job = jobs.begin(tmp_path / "study.toml", tmp_path / "results", ["identify", "study.toml"])
-    wait_until(lambda: not job.running)
-    assert jobs.running() == []
-    assert job.code == WRONG_INPUT
-    assert job.printed().startswith("error: study.toml: file not found")
-    jobs.close()
 
 
 def test_wrong_data_file_is_not_predicted(tmp_path: Path) -> None:

@@ -14,13 +14,10 @@ from bokeh.document.events import SessionCallbackAdded
 from bokeh.events import ButtonClick
 from bokeh.models import Button
 
+from fmuid import InputError, Normal, Parameter, Simulator, Study
 from fmuid.apps.workbench.pages.live import LatestOnlyWorker
 from fmuid.apps.workbench.pages.sliders import PLACES, reach_of
 from fmuid.apps.workbench.pages.study import StudyPage
-from fmuid.data import Normal, Parameter
-from fmuid.errors import InputError
-from fmuid.simulation import Simulator
-from fmuid.studies import Study
 from tests.support.coil_study import coil_table
 from tests.support.isolated import wait_until
 from tests.support.results import result

@@ -1,10 +1,7 @@
 """Batches: the same rows however they are run, ended early or resumed; refusals of another batch."""
 
-import errno
-import hashlib
 import json
 import math
-import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -13,16 +10,14 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from fmuid.errors import FmuidError, InputError
+from fmuid import Batch, FmuidError, InputError, Study
 from fmuid.events import BatchStep, Event
 from fmuid.reports.render.console import Screen, showing
 from fmuid.reports.render.progress import Display
 from fmuid.runs.batch import worker_pool as cluster
-from fmuid.runs.batch.batch import Batch
 from fmuid.runs.batch.case import CaseRunner
 from fmuid.runs.batch.study_package import BatchStudy, changes
 from fmuid.runs.batch.worker import difference, versions
-from fmuid.studies.study import Study
 from tests.support.coil_batches import DRAWS, NOISE, expected, refused, run, same, write
 from tests.support.coil_study import COIL, coil_table, fmuid_
 
@@ -159,32 +154,6 @@ def test_changes_that_are_allowed(folder: Path, here: Any) -> None:
     found = run(folder, resume=False)
     assert sorted(again.ran) == list(range(10))
     same(found.frame, expected(folder))
-
-
-@pytest.mark.slow
-def test_full_disk(folder: Path, here: Any, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
-    calls, fsync = [], os.fsync
-
-    def full(handle: int) -> None:
-        calls.append(handle)
-        if len(calls) > 6:  # manifest, folder, and two parts
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        fsync(handle)
-
-    first = here(3)
-    with monkeypatch.context() as patched:
-        patched.setattr(os, "fsync", full)
-        assert command(folder) == 1
-    error = capsys.readouterr().err
-    assert error.startswith(f"error: {folder / 'out'}: write failed: No space left on device")
-    assert error.count("\n") == 1
-    second = here(4)
-    assert command(folder) == 0
-    assert len(second.ran) < DRAWS <= len(first.ran) + len(second.ran)
-    same(pd.read_parquet(folder / "out" / "cases"), expected(folder))
-    told = json.loads((folder / "out" / "summary.json").read_text())["origin"]
-    digests = [hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in ("study.toml", "first.csv")]
-    assert [told["study"]["digest"], told["files"]["first.csv"]] == digests
 
 
 def test_another_batch(folder: Path, here: Any) -> None:

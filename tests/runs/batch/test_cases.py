@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from fmuid.errors import InputError
-from fmuid.runs.batch.case_list import CaseList
+from fmuid import InputError
+from fmuid.runs import CaseList
 from tests.support.coil_cases import STD, record, study_of
 
 # --- what the cases are

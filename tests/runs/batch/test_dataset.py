@@ -15,10 +15,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from fmuid import files
-from fmuid.errors import FmuidError, InputError
+from fmuid import FmuidError, InputError, files
+from fmuid.runs import read_part
 from fmuid.runs.batch import dataset as module
-from fmuid.runs.batch.dataset import Dataset, read_part
+from fmuid.runs.batch.dataset import Dataset
 
 COLUMNS = {
     "case": "int64",

@@ -12,13 +12,11 @@ import pandas as pd
 import pytest
 from numpy.typing import NDArray
 
-from fmuid.errors import InputError
-from fmuid.estimation import Marquardt
-from fmuid.estimation.evaluator import Evaluator
-from fmuid.estimation.problem import LeastSquares
+from fmuid import InputError, Marquardt
+from fmuid.estimation import Evaluator, LeastSquares
+from fmuid.runs import CaseList
 from fmuid.runs.batch import case as case_run
 from fmuid.runs.batch.case import CaseRunner
-from fmuid.runs.batch.case_list import CaseList
 from tests.support.coil_cases import bits, study_of
 from tests.support.compiled import ProbeMaker
 

@@ -11,12 +11,11 @@ import pandas as pd
 import pytest
 from distributed import KilledWorker
 
-from fmuid.errors import FmuidError
+from fmuid import FmuidError, Study
 from fmuid.runs.batch import worker_pool as cluster
 from fmuid.runs.batch.case import CaseRunner
 from fmuid.runs.batch.study_package import StudyPackage
 from fmuid.runs.batch.worker import GroupResult, IsolatedCases, run_group
-from fmuid.studies.study import Study
 from tests.support.coil_batches import DRAWS, Here, run
 from tests.support.coil_cases import bits
 from tests.support.misbehaving import Mode, Where, misbehaving_fmu

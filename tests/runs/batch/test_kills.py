@@ -15,15 +15,13 @@ import pandas as pd
 import pytest
 
 from experiments.batches.campaign import command, family, left_over, rows
+from fmuid import Batch, FmuidError, Study
 from fmuid.apps.workbench.pages.batch import BatchPage
-from fmuid.errors import FmuidError
 from fmuid.files import replacing
 from fmuid.runs.batch import local_workers
 from fmuid.runs.batch import worker_pool as cluster
-from fmuid.runs.batch.batch import Batch
 from fmuid.runs.batch.case import VOLATILE, CaseRunner
 from fmuid.runs.batch.worker import versions
-from fmuid.studies.study import Study
 from tests.support.coil_batches import (
     DRAWS,
     NOISE,

@@ -9,16 +9,14 @@ import pandas as pd
 import pytest
 from numpy.typing import NDArray
 
-from fmuid.data.data_file import read_data
-from fmuid.data.experiment import Experiment
-from fmuid.errors import InputError
-from fmuid.estimation.evaluator import Evaluator
-from fmuid.identification import Problem, identify
+from fmuid import Experiment, InputError, Problem, Study, read_data
+from fmuid.estimation import Evaluator
+from fmuid.identification import identify
+from fmuid.runs import CaseList
 from fmuid.runs.batch.case import VOLATILE, CaseRunner
-from fmuid.runs.batch.case_list import CaseList, truth_of
+from fmuid.runs.batch.case_list import truth_of
 from fmuid.runs.batch.case_problem import problem_of
 from fmuid.runs.batch.summary import summarize
-from fmuid.studies.study import Study
 from tests.support.coil_cases import COIL, STD, TIMES, L, R, bits, current, study_of
 from tests.support.drawn_batches import summary_words
 from tests.support.paths import ROOT

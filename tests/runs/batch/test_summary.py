@@ -9,10 +9,11 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from fmuid.estimation.covariance import IdentifiabilityLevel, WeakDirection
+from fmuid.estimation import IdentifiabilityLevel, WeakDirection
 from fmuid.reports.topics.batch_tables import write_tables
+from fmuid.runs import EstimateWarning, estimates, optimum_numbers
 from fmuid.runs.batch.case import directions_of, directions_text
-from fmuid.runs.batch.statistics import EstimateWarning, estimates, optimum_numbers, statistics
+from fmuid.runs.batch.statistics import statistics
 from fmuid.runs.batch.summary import MAX_LEVELS, summarize
 from tests.support.drawn_batches import TRUTH, UNITS, batch, doubts, fail, row, show_batch, starts, summary_words
 

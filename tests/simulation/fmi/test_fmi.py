@@ -73,29 +73,6 @@ def test_what_may_be_set(causality: str, variability: str, initial: str | None, 
     assert Variable("v", 0, "Float64", causality, variability, initial).settable is settable
 
 
-@pytest.mark.parametrize(
-    ("files", "words"),
-    [
-        (None, r"a\.fmu: FMU not found"),
-        ({}, "no zip archive"),
-        ({"readme.txt": ""}, r"no modelDescription\.xml"),
-        ({"modelDescription.xml": "<fmiModelDescription"}, "not well-formed"),
-        ({"modelDescription.xml": '<fmiModelDescription fmiVersion="1.0"/>'}, r"FMI 1\.0 is not supported"),
-        ({"modelDescription.xml": '<fmiModelDescription fmiVersion="4.0"/>'}, r"FMI 4\.0 is not supported"),
-    ],
-)
-def test_unreadable_fmus_are_refused(tmp_path: Path, files: dict[str, str] | None, words: str) -> None:
-    path = tmp_path / "a.fmu"
-    if files == {}:
-        path.write_text("hello")
-    elif files is not None:
-        with zipfile.ZipFile(path, "w") as archive:
-            for name, text in files.items():
-                archive.writestr(name, text)
-    with pytest.raises(InputError, match=words):
-        FMU(path)
-
-
 def test_missing_damaged_and_refusing_binaries_are_one_sentence(tmp_path: Path) -> None:
     coil, here = FMUS / "Coil" / "Coil.fmu", f"binaries/{fmpy.platform}/"
     entry = zipfile.ZipInfo(f"{here}Coil{fmpy.sharedLibraryExtension}")
