@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -12,11 +12,18 @@ import numpy as np
 from fmuid.array_types import Floats
 from fmuid.data import Experiment
 from fmuid.diagnosis.baseline import BaselineSource, StoredBaseline
-from fmuid.diagnosis.cause_ranking import CauseRanking, CauseSet, estimate_sizes, name
+from fmuid.diagnosis.cause_ranking import SETTINGS as CAUSE_RANKING
+from fmuid.diagnosis.cause_ranking import CauseRanking, CauseSet, estimate_sizes, log_odds, name
 from fmuid.diagnosis.cause_results import ChangeEvidence, explanations, score
 from fmuid.diagnosis.causes import Cause, CauseKind, ChangeParameterSet
 from fmuid.diagnosis.change_detection import MinPDistribution, fit
-from fmuid.diagnosis.information_matrix import ChangePrior, InformationMatrix, ScoreStatistics, Whitening, is_determined
+from fmuid.diagnosis.information_matrix import (
+    ChangePrior,
+    InformationMatrix,
+    ScoreStatistics,
+    Whitening,
+    is_determined,
+)
 from fmuid.diagnosis.linearized_machine import LinearizedMachine, residual_and_columns, residual_of
 from fmuid.diagnosis.operating_points import OperatingPoints
 from fmuid.diagnosis.population import Population, Scales, tempered
@@ -37,8 +44,9 @@ from fmuid.errors import SimulationError
 class AnalysisSettings:
     """Numbers of the analysis."""
 
-    null_steps: int = 2  # linearizations at the estimate without causes
-    name_steps: int = 4  # linearizations at the cause named; an alternating name ends there, too
+    null_steps: int = 2  # linearizations at the estimate without causes, ...
+    close: float = 0.03  # ... until the error of the linear model is below this, in standard deviations
+    name_steps: int = 10  # linearizations at sizes of causes
     farthest: float = 0.3  # magnitudes of a coordinate in one step without causes
     settled: float = 0.1  # standard deviations; sizes that move by less have settled
     tolerated: float = 3.0  # the largest error of known faults over κ: three standard deviations
@@ -130,8 +138,9 @@ def examine(
     work = _CauseAnalyzer(machines, healthy, coordinates, level, model_error)
     at = work.at(coordinates.healthy)
     for _ in range(SETTINGS.null_steps):
-        target = coordinates.healthy + work.null(at.raw)
-        target[coordinates.details] = coordinates.healthy[coordinates.details]
+        target = coordinates.without_faults(coordinates.healthy + work.null(at.raw))
+        if at.said.curvature(target - at.point, coordinates.magnitude) < SETTINGS.close:
+            break
         at = work.at(work.toward(at.point, target))
     chance, null, steady = MinPDistribution.of(at.news, at.causes), at.point, True
     naming = name(at.news, at.causes, level, chance=chance, model_error=model_error)
@@ -247,52 +256,85 @@ class _CauseAnalyzer:
             return NOTHING_LEFT
         return self.healthy.structure.test(_structure(self.machines, at.whitening, at.point), naming.temper)
 
-    def named_point(self, best: CauseSet, at: Linearization, before: Sequence[Cause]) -> Floats:
-        """Return the point (N,) of the named causes.
+    def named_point(self, lead: CauseSet, at: Linearization, before: Collection[Cause]) -> Floats:
+        """Return the point (N,) of the named causes; other faults are not there.
 
         Details are those estimated where their cause was named before, else of the best variant.
         """
         coordinates, new, known = self.coordinates, np.zeros(at.point.size), self.coordinates.healthy.copy()
-        new[[i for cause in best.causes for i in coordinates.base(cause).columns]] = best.fit.sizes
+        named = [i for cause in lead.causes for i in coordinates.base(cause).columns]
+        new[named] = lead.fit.sizes
         estimate = known + self.null(ScoreStatistics.of(at.said, self.known), new)
-        for cause in best.causes:
+        for cause in lead.causes:
             fault, base = (coordinates.each[each.columns[0]].fault for each in (cause, coordinates.base(cause)))
             for i in coordinates.of(CauseKind.DETAIL, fault=base) if base else ():
                 of = coordinates.each[i]
                 value = estimate[i] if cause in before else float(coordinates.faults[fault].values[of.variable])
                 known[i] = np.clip(value, *coordinates.limits(of))
-        estimate[coordinates.details] = known[coordinates.details]
-        return np.asarray(estimate + new)
+        point = coordinates.without_faults(estimate, named)
+        point[coordinates.details] = known[coordinates.details]
+        return point + new
+
+    def ranked(self, own: _OwnPoint, chance: MinPDistribution, without: Container[tuple[str, ...]]) -> CauseRanking:
+        """Return the ranking where some causes are linearized at their sizes."""
+        # their details are coordinates there, and need no variants
+        causes = [each for each in own.at.causes if own.bases.get(each.name, each) == each]
+        found = name(own.at.news, causes, self.level, chance=chance, model_error=self.model_error, without=without)
+        for first in found.named[:1]:
+            if any(self.coordinates.base(cause) in own.bases.values() for cause in first.causes):
+                first = replace(first, fit=estimate_sizes(own.whole, first.causes, self.model_error))
+                found = replace(found, named=(first, *found.named[1:]))
+        return found
+
+    def own_point(self, lead: CauseSet, at: Linearization, before: Collection[Cause]) -> _OwnPoint:
+        """Return the records linearized at the sizes of some causes."""
+        there = self.at(self.named_point(lead, at, before))
+        bases = {cause.name: self.coordinates.base(cause) for cause in lead.causes}
+        return _OwnPoint(there, self.judged(ScoreStatistics.of(there.said, self.known)), bases)
 
     def settled(
         self, naming: CauseRanking, at: Linearization, chance: MinPDistribution
     ) -> tuple[CauseRanking, Linearization, bool]:
-        """Linearize at the named cause until the name is stable; return name, linearization and success."""
-        steady, before = False, list[Cause]()
+        """Linearize at each named cause; return name, linearization at the best one, and whether its name stays.
+
+        Large causes explain more where others are linearized than at their own size: that one decides.
+        """
+        tried, done = dict[tuple[str, ...], _OwnPoint](), set[tuple[str, ...]]()
+        best, before, temper = naming.named[0].names, list[Cause](), naming.temper
         for _ in range(SETTINGS.name_steps):
-            best = naming.named[0]
-            try:
-                there = self.at(self.named_point(best, at, before))
-            except SimulationError:  # too large a step for the model: what was reached before stays
+            lead = next((each for each in naming.named if each.names not in done), None)
+            if lead is None:
                 break
-            # details of the named faults are coordinates there, and need no variants
-            known = {cause.name: self.coordinates.base(cause) for cause in best.causes}
-            causes = [each for each in there.causes if known.get(each.name, each) == each]
-            found = name(there.news, causes, self.level, chance=chance, model_error=self.model_error)
+            try:
+                tried[lead.names] = self.own_point(lead, at, before)
+            except SimulationError:  # too large a step for the model: what was reached before stays
+                done.add(lead.names)
+                continue
+            evidence = {names: own.evidence(temper) for names, own in tried.items()}
+            best = max(evidence, key=lambda names: evidence[names])
+            least = evidence[best] - math.log(CAUSE_RANKING.odds)
+            found = self.ranked(tried[best], chance, {names for names in tried if evidence[names] < least})
             if not found.named:  # large at the healthy machine, and none where it was said to be
                 break
-            first = found.named[0]
-            if any(self.coordinates.base(cause) in known.values() for cause in first.causes):
-                whole = self.judged(ScoreStatistics.of(there.said, self.known))
-                first = replace(first, fit=estimate_sizes(whole, first.causes, self.model_error))
-                found = replace(found, named=(first, *found.named[1:]))
-            steady, before = first.names == best.names, list(known.values())
-            naming, at, now = found, there, found.named[0].fit
-            std = np.sqrt(np.diag(now.covariance))
-            moved = np.abs(now.sizes - best.fit.sizes) / np.where(std > 0, std, math.inf)
-            if steady and np.all(moved < SETTINGS.settled):
-                break
-        return naming, at, steady
+            naming, at, before = found, tried[best].at, list(tried[best].bases.values())
+            again = [each.fit for each in found.named if each.names == lead.names == best]
+            if lead.names != best or any(each.moved(lead.fit) < SETTINGS.settled for each in again):
+                done.add(lead.names)
+        return naming, at, naming.named[0].names == best
+
+
+@dataclass(frozen=True, eq=False)
+class _OwnPoint:
+    """Records linearized at the sizes of some causes."""
+
+    at: Linearization
+    whole: ScoreStatistics  # with the details of faults unknown
+    bases: Mapping[str, Cause]  # the causes, with their details as coordinates
+
+    def evidence(self, temper: float) -> float:
+        """Return the log evidence of the causes, divided for the models' error."""
+        whole = self.whole.tempered(temper)
+        return log_odds(whole, list(self.bases.values())) - 0.5 * whole.squares
 
 
 def _information(machine: LinearizedMachine, whitening: Whitening, point: Floats, healthy: Floats) -> InformationMatrix:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +23,7 @@ class RankingSettings:
     """Numbers of the ranking."""
 
     odds: float = 20.0  # of the best cause over those named beside it: strong evidence (Kass and Raftery, section 3.2)
-    scales: tuple[float, ...] = (1.0, 3.0, 10.0)  # of errors of sensors and supply, each rarer by itself
+    scales: tuple[float, ...] = (1.0, 3.0, 10.0)  # of changes, each rarer by itself
     excluded: float = 0.9  # share of records in which a rival must be excluded so
     own_share: float = 0.25  # of κ in a fault's size: 0.04 to 0.4 in experiments/machine_faults
     hopeless: float = 30.0  # statistic below the best pair's from which a pair cannot come within the odds
@@ -69,8 +69,9 @@ def name(
     *,
     chance: MinPDistribution | None = None,
     model_error: float = MODEL_ERROR,
+    without: Container[tuple[str, ...]] = (),
 ) -> CauseRanking:
-    """Decide about a change, and rank single causes and pairs; κ is `model_error`.
+    """Decide about a change, and rank single causes and pairs, but some; κ is `model_error`.
 
     The null distribution `chance` is drawn where it is not given.
     """
@@ -81,19 +82,26 @@ def name(
     adjusted = chance.adjusted(smallest)
     if smallest > chance.limit(level):
         return CauseRanking(adjusted, False)
-    temper, likely = rank_with_model_error(news, causes, level, model_error)
+    temper, likely = rank_with_model_error(news, causes, level, model_error, without)
     return CauseRanking(adjusted, True, likely, temper)
 
 
 def rank_with_model_error(
-    news: ScoreStatistics, causes: Sequence[Cause], level: float, model_error: float
+    news: ScoreStatistics,
+    causes: Sequence[Cause],
+    level: float,
+    model_error: float,
+    without: Container[tuple[str, ...]] = (),
 ) -> tuple[float, tuple[CauseSet, ...]]:
     """Return the divisor of the evidence, and the causes; arguments as for `name`."""
     alone = {cause: fit(news, (cause,)).statistic for cause in causes}
     temper = 1.0 + model_error**2 * max((d for cause, d in alone.items() if cause.modelled), default=0.0)
     sets = _pairs(news, causes, max(alone.values()), temper, level) or [(cause,) for cause in causes]
+    sets = [each for each in sets if tuple(cause.name for cause in each) not in without]
+    if not sets:
+        return temper, ()
     evidence = news.tempered(temper)
-    found = np.array([log_bayes_factor(evidence, each) + sum(math.log(c.probability) for c in each) for each in sets])
+    found = np.array([log_odds(evidence, each) for each in sets])
     variants, best = Counter(cause.name for cause in causes), found.max()
     groups: dict[tuple[str, ...], list[int]] = {}
     for i in np.argsort(-found, kind="stable").tolist():
@@ -177,10 +185,15 @@ def mixture(fits: Sequence[CauseFit], log_weights: Floats) -> CauseFit:
     return CauseFit(fits[0].statistic, mean, within + spread)
 
 
+def log_odds(news: ScoreStatistics, causes: Sequence[Cause]) -> float:
+    """Return the log odds of some causes against no change."""
+    return log_bayes_factor(news, causes) + sum(math.log(cause.probability) for cause in causes)
+
+
 def log_bayes_factor(news: ScoreStatistics, causes: Sequence[Cause]) -> float:
     """Return the log Bayes factor of some causes against no change.
 
-    Errors of sensors and supply may be far larger than usual: their slab is a mixture of scales.
+    Changes may be far larger than usual: their slab is a mixture of scales.
     """
     if not any(cause.heavy for cause in causes):
         return _log_bayes_factor(news, causes)

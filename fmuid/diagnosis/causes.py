@@ -7,7 +7,7 @@ vector of the plane.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Annotated
@@ -47,7 +47,7 @@ class Cause:
     sign: int = 0  # 1 or -1 for a size of one sign only
     probability: float = SETTINGS.probability  # before any measurement
     modelled: bool = True  # its signature is that of a fault model, which may be wrong
-    heavy: bool = False  # an error of a sensor or the supply, which may be far larger than usual
+    heavy: bool = False  # may be far larger than usual: all but healthy parameters
 
 
 class CauseKind(Enum):
@@ -71,7 +71,6 @@ class CauseKind(Enum):
 
 SENSOR_KINDS = (CauseKind.GAIN, CauseKind.OFFSET, CauseKind.DELAY)
 LINE_KINDS = (CauseKind.JOINT, CauseKind.DEAD_TIME)
-ERROR_KINDS = (*SENSOR_KINDS, CauseKind.INPUT_GAIN)
 
 
 @dataclass(frozen=True)
@@ -210,6 +209,11 @@ class ChangeParameterSet:
         by_name = self.by_name[cause.name]
         return next(each for each in by_name if VARIANT not in self.each[each.columns[0]].fault)
 
+    def without_faults(self, point: Floats, but: Collection[int] = ()) -> Floats:
+        """Return a point (N,) without faults and details, but some coordinates."""
+        hidden = [each.kind in (CauseKind.FAULT, CauseKind.DETAIL) and i not in but for i, each in enumerate(self.each)]
+        return np.where(hidden, self.healthy, point)
+
     @property
     def details(self) -> list[int]:
         """Coordinates of all faults' details."""
@@ -242,8 +246,8 @@ def coordinates_of(
         new = [of, replace(of, second=True)] if asked.plane else [of]
         if size is not None:
             columns = tuple(range(len(each), len(each) + len(new)))
-            is_fault, is_error = of.kind is CauseKind.FAULT, of.kind in ERROR_KINDS
-            found.append(Cause(of.name, columns, size, asked.sign, SETTINGS.probability, is_fault, is_error))
+            is_fault, heavy = of.kind is CauseKind.FAULT, of.kind is not CauseKind.PARAMETER
+            found.append(Cause(of.name, columns, size, asked.sign, SETTINGS.probability, is_fault, heavy))
         each.extend(new)
         healthy.extend([asked.start] * len(new))
     return ChangeParameterSet(tuple(each), tuple(found), np.array(healthy), faults)

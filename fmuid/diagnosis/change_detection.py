@@ -90,6 +90,11 @@ class CauseFit:
     sizes: Floats  # (k,) in the order of the causes' coordinates; zero where a sign keeps it there
     covariance: Floats  # (k, k), zero for a size kept at zero
 
+    def moved(self, other: CauseFit) -> float:
+        """Return the largest difference of sizes, in standard deviations."""
+        std = np.sqrt(np.diag(self.covariance))
+        return float(np.max(np.abs(self.sizes - other.sizes) / np.where(std > 0, std, math.inf)))
+
 
 def fit(news: ScoreStatistics, causes: Sequence[Cause]) -> CauseFit:
     """Return the maximum-likelihood sizes of causes, each with its sign."""

@@ -76,15 +76,24 @@ class InformationMatrix:
 
     matrix: Floats  # (N, N), G = JᵀJ of the whitened Jacobian
     score: Floats  # (N,), g = Jᵀr of the whitened residual at zero
+    squares: float = math.nan  # rᵀr
 
     @classmethod
     def of(cls, jacobian: Floats, residual: Floats) -> InformationMatrix:
         """Return the information of a whitened Jacobian (n, N) and residual (n,)."""
-        return cls(jacobian.T @ jacobian, jacobian.T @ residual)
+        return cls(jacobian.T @ jacobian, jacobian.T @ residual, float(residual @ residual))
 
     def __add__(self, other: InformationMatrix) -> InformationMatrix:
         """Return the information of both records."""
-        return InformationMatrix(self.matrix + other.matrix, self.score + other.score)
+        return InformationMatrix(self.matrix + other.matrix, self.score + other.score, self.squares + other.squares)
+
+    def distance(self, off: Floats) -> float:
+        """Return the effect of a move (N,), in standard deviations."""
+        return math.sqrt(max(0.0, float(off @ self.matrix @ off)))
+
+    def curvature(self, off: Floats, magnitude: Floats) -> float:
+        """Return the linear model's error after a move (N,), in standard deviations."""
+        return float(np.max(np.abs(off) / magnitude)) * self.distance(off)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +132,7 @@ class ScoreStatistics:
     score: Floats  # (N,), h; its covariance is F without changes
     excess: Floats | None = None  # (N, N), part of the prior's covariance that is known from few records ...
     freedom: float = math.inf  # ... with these degrees of freedom
+    squares: float = math.nan  # χ² of the record without changes
 
     @classmethod
     def of(cls, record: InformationMatrix, known: ChangePrior) -> ScoreStatistics:
@@ -133,11 +143,14 @@ class ScoreStatistics:
         right = np.column_stack([matrix, scale * (record.score - record.matrix @ known.mean)])
         found = np.linalg.solve(left, right)
         information = (found[:, :-1] + found[:, :-1].T) / 2.0 / np.outer(scale, scale)
-        return cls(information, found[:, -1] / scale)
+        score, mean, own = found[:, -1] / scale, known.mean, record.score - record.matrix @ known.mean
+        squares = record.squares - float(mean @ (record.score + own) + own @ known.covariance @ score)
+        return cls(information, score, squares=squares)
 
     def tempered(self, factor: float) -> ScoreStatistics:
         """Return the statistics for variances larger by a factor: the models' error."""
-        return replace(self, information=self.information / factor, score=self.score / factor)
+        information, score, squares = self.information / factor, self.score / factor, self.squares / factor
+        return replace(self, information=information, score=score, squares=squares)
 
     def tail(self, statistic: float, columns: Sequence[int]) -> float:
         """Return the probability of a larger statistic of some coordinates by chance: χ², or F (Satterthwaite)."""

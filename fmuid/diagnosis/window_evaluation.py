@@ -136,7 +136,6 @@ class MonitorReference:
             for each in self.coordinates.each
         ]
         self.lower, self.upper = np.array(limits).T
-        self.faulty = np.array([each.kind is CauseKind.FAULT for each in self.coordinates.each])
         self.limit = lru_cache(lambda level, windows: log_limit(level, self.coordinates.causes, windows))
 
     def free(self, columns: tuple[int, ...]) -> ChangePrior:
@@ -200,22 +199,19 @@ class WindowEvaluation:
     @cached_property
     def target(self) -> Floats:
         """Best point of linearization (N,): the estimate, with the named faults only."""
-        mean = self.estimate.mean.copy()
-        hidden = self.against.faulty.copy()
-        hidden[list(self.free)] = False
-        mean[hidden] = 0.0
-        point = self.against.coordinates.healthy + mean
+        coordinates = self.against.coordinates
+        point = coordinates.without_faults(coordinates.healthy + self.estimate.mean, self.free)
         return np.clip(point, self.against.lower, self.against.upper)
 
     @property
     def far(self) -> bool:
         """True if the window was linearized too far from the target."""
-        off = self.target - self.now.point
-        distance = math.sqrt(max(0.0, float(off @ self.sums.whole.matrix @ off)))
-        curved = float(np.max(np.abs(off) / self.against.magnitude)) * distance > SETTINGS.far
+        off, whole = self.target - self.now.point, self.sums.whole
+        if whole.curvature(off, self.against.coordinates.magnitude) > SETTINGS.far:
+            return True
         # innovations are limited about the point
         limited = math.isfinite(self.against.made.healthy.whitening.limit)
-        return curved or (limited and distance > SETTINGS.far * math.sqrt(self.sums.samples))
+        return limited and whole.distance(off) > SETTINGS.far * math.sqrt(self.sums.samples)
 
     def taken(self) -> MonitorState:
         """Return the state with this window."""

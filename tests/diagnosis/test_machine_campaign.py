@@ -110,7 +110,7 @@ def test_changes_of_a_machine_at_operating_points(count: int, always: Condition,
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("turns", "own"), [(0.03, 0.5), (0.1, 0.44)])
+@pytest.mark.parametrize(("turns", "own"), [(0.03, 0.5), (0.1, 0.44), (0.2, 0.3)])
 def test_turns_with_leakage_of_their_own_are_named_with_their_size(turns: float, own: float) -> None:
     """Of the grid only its middle gives 1.1 to 2.5 % for 3 %, and its nearest value 0.087 for 0.1."""
     (record,) = operated(SOUND, [{"turns": turns, "phase": 1, "own": own}], 31)
