@@ -20,7 +20,7 @@ from fmuid.errors import InputError
 from fmuid.formatting import nearest
 from fmuid.units import SECONDS, TIME_UNITS, time_unit
 
-REMEDY = "Name it, give sample_rate, or set kind for rows without times."
+REMEDY = "Name it, give sample_rate, or a kind for rows without times."
 _LISTED_NAMES = 12
 """Names listed in a message."""
 _WITH_SUFFIX = re.compile(rf"(.*\S)[_ ]({'|'.join(SECONDS)})", re.IGNORECASE)

@@ -105,6 +105,11 @@ class Experiment(HtmlTableMixin):
         return ""
 
     @property
+    def made_columns(self) -> frozenset[str]:
+        """Columns that are not of the data."""
+        return frozenset()
+
+    @property
     def axis(self) -> dict[str, Floats]:
         """First columns of tables of outputs, (K,) each."""
         return {"time": self.times}
@@ -184,7 +189,8 @@ class Experiment(HtmlTableMixin):
         for role, columns in {"time": [self.time], "input": inputs.values(), "output": there.values()}.items():
             for column in columns:
                 if column not in frame.columns:
-                    said = missing_column(role, column, frame.columns, left_out=attributes.get(LEFT_OUT))
+                    known = [name for name in frame.columns if name not in self.made_columns]
+                    said = missing_column(role, column, known, left_out=attributes.get(LEFT_OUT))
                     raise InputError(f"{source}: {said}")
         words = interpolation_words(source, self.interpolation, inputs)
         for column in {*inputs.values(), *there.values()} if SOURCE in attributes and DECIDED not in attributes else ():

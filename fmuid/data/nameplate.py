@@ -13,6 +13,7 @@ from fmuid.errors import InputError
 from fmuid.units import parse_unit
 
 _PRINTED = re.compile(r"\s*([-+]?\d+(?:\.(\d*))?|[-+]?\.(\d+))\s*(\S.*)?")
+_APPARENT = re.compile(r"va\b|var\b|v\W*a$", re.IGNORECASE)
 UNITS = {"P": "W", "U": "V", "I": "A", "cos_phi": "", "n": "rpm", "f": "Hz", "Is_In": "", "Ts_Tn": "", "Tb_Tn": ""}
 """Units of numbers without one."""
 
@@ -72,7 +73,8 @@ class Nameplate:
             if each.value <= 0.0:
                 raise InputError(f"{name} must be above 0, not {each.value:g}.")
         if not 0.0 < self.slip.value < MOST_SLIP:
-            raise InputError(f"n = {printed['n'].value:g} rpm is no rated speed at {printed['f'].value:g} Hz.")
+            said = f"n = {printed['n'].value:g} rpm is no rated speed at {printed['f'].value:g} Hz"
+            raise InputError(f"{said}. Give the speed at full load, less than 20 % below 60 f/p.")
         taken = math.prod(each.value + each.half for name, each in printed.items() if name in ("U", "I", "cos_phi"))
         if printed["P"].value - printed["P"].half > 3.0**0.5 * taken:
             raise InputError(
@@ -113,6 +115,8 @@ def _read(name: str, given: str | float) -> Printed:
         raise InputError(f'{name} = {text!r} is no printed number. Write it as "1.1 kW".')
     factor, said = 1.0, (found[4] or "").strip()
     if said and said != UNITS[name]:
+        if _APPARENT.search(said):
+            raise InputError(f"{name}: {said!r} is apparent power. Give the mechanical power in W.")
         own, wanted = parse_unit(said), parse_unit(UNITS[name])
         if own is None or wanted is None or own.exponents != wanted.exponents:
             raise InputError(f"{name}: unit {said!r} does not convert to {UNITS[name] or 'a plain number'!r}.")

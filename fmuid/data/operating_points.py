@@ -11,7 +11,8 @@ import pandas as pd
 from annotated_types import Gt
 
 from fmuid.array_types import Floats
-from fmuid.data.data_file import SOURCE, UNITS, numeric_column
+from fmuid.data.clock import column_of, missing_column
+from fmuid.data.data_file import LEFT_OUT, SOURCE, UNITS, numeric_column
 from fmuid.data.experiment import Experiment
 from fmuid.errors import InputError
 
@@ -76,13 +77,23 @@ class SteadyExperiment(Experiment):
     guess: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        given = {} if self.supply is None else self.supply.given
-        columns = {f"{name} = {value:g}": value for name, value in given.items() if not isinstance(value, str)}
+        given, columns = {} if self.supply is None else self.supply.given, self._constants
         inputs = dict(self.inputs if isinstance(self.inputs, Mapping) else zip(self.inputs, self.inputs, strict=True))
         inputs |= {name: value if isinstance(value, str) else f"{name} = {value:g}" for name, value in given.items()}
+        check_rows(self, {name: column for name, column in inputs.items() if column not in columns}, given)
         self._set(frame=with_rows(self.frame.assign(**columns)), inputs=inputs, time=ROW, interpolation="zoh")
-        check_rows(self, inputs.values())
         super().__post_init__()
+
+    @property
+    def _constants(self) -> dict[str, float]:
+        """Columns of quantities that are numbers."""
+        given = {} if self.supply is None else self.supply.given
+        return {f"{name} = {value:g}": value for name, value in given.items() if not isinstance(value, str)}
+
+    @property
+    def made_columns(self) -> frozenset[str]:
+        """Row numbers and constant quantities."""
+        return frozenset({ROW, *self._constants})
 
     @property
     def design(self) -> str:
@@ -103,19 +114,23 @@ class SteadyExperiment(Experiment):
         return describe_rows(self)
 
 
-def check_rows(experiment: Experiment, columns: Iterable[str]) -> None:
-    """Refuse settings that need a time, and rows without an input."""
+def check_rows(experiment: Experiment, inputs: Mapping[str, str], quantities: Iterable[str]) -> None:
+    """Refuse settings that need a time, and rows without an input; some are named quantities."""
     source = experiment.source or str(experiment.frame.attrs.get(SOURCE, "the table"))
     if experiment.warmup:
         raise InputError(f"{source}: warmup needs a time. Remove it.")
-    for column in columns:
-        if column in experiment.frame:
-            missing = np.flatnonzero(~np.isfinite(values := numeric_column(experiment.frame, column, source)))
-            if missing.size:
-                what = "empty" if np.isnan(values[missing[0]]) else "infinite"
-                raise InputError(
-                    f"{source}: input column {column!r} is {what} in row {missing[0] + 1}. Remove the row."
-                )
+    for name, given in inputs.items():
+        column = column_of(experiment.frame.columns, given)
+        if column is None:
+            role = name if name in quantities else "input"
+            remedy = f"Set {role} to its column." if name in quantities else "Name the right column."
+            known = [each for each in experiment.frame.columns if each not in experiment.made_columns]
+            left_out = experiment.frame.attrs.get(LEFT_OUT)
+            raise InputError(f"{source}: {missing_column(role, given, known, remedy, left_out)}")
+        missing = np.flatnonzero(~np.isfinite(values := numeric_column(experiment.frame, column, source)))
+        if missing.size:
+            what = "empty" if np.isnan(values[missing[0]]) else "infinite"
+            raise InputError(f"{source}: input column {column!r} is {what} in row {missing[0] + 1}. Remove the row.")
 
 
 def with_rows(frame: pd.DataFrame) -> pd.DataFrame:

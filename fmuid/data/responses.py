@@ -96,15 +96,24 @@ class FrequencyExperiment(Experiment):
     point: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        check_rows(self, {"frequency": self.frequency}, ("frequency",))
+        for column in (each.magnitude for each in self.responses.values() if each.magnitude is not None):
+            if column in self.frame and (below := numeric_column(self.frame, column, self.source) < 0.0).any():
+                said = f"{self.source}: magnitude {column!r} is negative in row {below.argmax() + 1}"
+                raise InputError(f"{said}. Use decibel for dB, or correct it.")
         self._set(frame=with_rows(self.frame), inputs={"frequency": self.frequency}, time=ROW, interpolation="zoh")
         self._set(outputs=response_columns(self.responses))
-        check_rows(self, [self.frequency])
         super().__post_init__()
         for each in (one for one in self.responses.values() if {"real", "imaginary"} <= one.columns.keys()):
             parts = [numeric_column(self.frame, column, self.source) for column in each.columns.values()]
             if (half := np.logical_xor(*np.isnan(parts))).any():
                 named = " and ".join(map(repr, each.columns.values()))
                 raise InputError(f"{self.source}: one of {named} is empty in row {half.argmax() + 1}. Empty both.")
+
+    @property
+    def made_columns(self) -> frozenset[str]:
+        """Row numbers."""
+        return frozenset({ROW})
 
     @property
     def design(self) -> str:

@@ -81,7 +81,9 @@ class Contributions:
 
     @property
     def contradictions(self) -> tuple[Contribution, ...]:
-        """Experiments that contradict the others, the gravest first."""
+        """Experiments that contradict the others, the gravest first; none of one and a prior, tested by itself."""
+        if sum(each.experiment != PRIOR for each in self.parts) == 1:
+            return ()
         limit = SETTINGS.level / max(1, len(self.parts))
         return tuple(sorted((e for e in self.parts if e.probability < limit), key=lambda each: each.probability))
 

@@ -252,7 +252,8 @@ class System:
         """Return a variable by its name in the system; an `InputError` gives near names."""
         found = self.variables.get(name)
         if found is None:
-            raise InputError(f"{self.label}: no {role} {name!r}{nearest(name, self.variables)}.")
+            near = nearest(name, self.variables) or ". `fmuid info` lists all"
+            raise InputError(f"{self.label}: no {role} {name!r}{near}.")
         return found
 
     def _connect(self, source: str, target: str, factor: float | None = None, offset: float = 0.0) -> Connection:

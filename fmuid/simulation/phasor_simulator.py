@@ -47,10 +47,13 @@ class PhasorSimulator(PointSimulator):
             if not is_formula(system, name):
                 known = ", ".join(PHASOR_FORMULAS)
                 raise InputError(f"{experiment.source}: with frame, outputs are {known}, not {name!r}.")
-            if PHASOR_FORMULAS[name].needs_torque and (not self.pole_pairs or not found.resistance):
-                raise InputError(
-                    f"{experiment.source}: {name!r} needs pole_pairs in frame, and resistance in terminals."
-                )
+            if PHASOR_FORMULAS[name].needs_torque:
+                for key, place, there in (
+                    ("pole_pairs", "frame", self.pole_pairs),
+                    ("resistance", "the terminals beside the FMU", found.resistance),
+                ):
+                    if not there:
+                        raise InputError(f"{experiment.source}: {name!r} needs {key}. Set it in {place}.")
         self._is_checked = False
         _ = self._points
 

@@ -18,6 +18,7 @@ from .init.parameter_survey import SHOWN_CHANGE as SHOWN_CHANGE
 from .init.parameter_survey import Candidate as Candidate
 from .init.parameter_survey import proposal as proposal
 from .model import ExperimentSettings as ExperimentSettings
+from .operating_points import KINDS as KINDS
 from .parameters import PriorSource as PriorSource
 from .parameters import SourceIssue as SourceIssue
 from .parameters import SourceWarning as SourceWarning

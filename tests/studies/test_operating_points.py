@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -15,7 +16,9 @@ from fmuid import InputError
 from fmuid.apps.cli.app import main
 from fmuid.codec import from_json
 from fmuid.identification import Contributions
+from fmuid.reports.topics.study_notes import input_notes
 from fmuid.runs import read_fits
+from fmuid.studies import InitOptions, draft, match_data_files, write_draft
 from tests.support.paths import FMUS, ROOT
 from tests.support.resting import MACHINE, three_tests
 
@@ -84,6 +87,50 @@ def test_a_spectrum_gives_the_winding(folder: Path) -> None:
     assert list(fit.columns) == ["frequency", *(f"{a}.Z.{b}" for b in ("magnitude", "phase") for a in SIDES)]
 
 
+@pytest.mark.parametrize(
+    ("kind", "fmu", "table", "expected"),
+    [
+        ("steady", "InductionMachine.fmu", "tests.csv", MACHINE),
+        ("frequency", "Coil.fmu", "spectrum.csv", {"R": 4.0, "L": 0.1}),
+    ],
+)
+def test_a_drafted_study_identifies_as_it_is(
+    folder: Path, kind: str, fmu: str, table: str, expected: dict[str, float]
+) -> None:
+    """The FMU's own values are those of the tables; the study starts away from them."""
+    records = match_data_files(folder / fmu, [folder / table], InitOptions(kind=kind))
+    write_draft(draft(folder / fmu, records, folder / "new.toml"), folder / "new.toml")
+    text = (folder / "new.toml").read_text(encoding="utf-8")
+    moved = re.sub(r"start = ([\d.]+)", lambda found: f"start = {1.2 * float(found[1])}", text)
+    found = fmuid.run(study_of(folder, moved), folder / "out")
+    assert found.result.values == pytest.approx([expected[name] for name in found.result.names], rel=1e-5)
+    assert set(found.result.names) == set(expected)
+
+
+@pytest.mark.parametrize(
+    ("kind", "head", "expected"),
+    [
+        ("steady", "U_LL [V],n [1/min],I1,P1,cosphi", {"line_voltage": "U_LL", "speed": "n", "cos_phi": "cosphi"}),
+        ("steady", "Drehzahl,Spannung,Drehmoment,f", {"speed": "Drehzahl", "frequency": "f", "torque": "Drehmoment"}),
+        ("frequency", "freq,Zd_re,Zd_im", {"frequency": "freq", "Zd.real": "Zd_re", "Zd.imaginary": "Zd_im"}),
+        ("frequency", "w (rad/s),gain (dB),arg (deg)", {"gain.decibel": "gain (dB)", "gain.phase": "arg"}),
+        ("frequency", "f,Re,Im", {"Z.real": "Re", "Z.imaginary": "Im"}),
+    ],
+)
+def test_columns_without_a_time_are_matched(folder: Path, kind: str, head: str, expected: dict[str, str]) -> None:
+    count = head.count(",") + 1
+    (folder / "table.csv").write_text(f"{head}\n" + f"{','.join(['1400'] * count)}\n" * 3, encoding="utf-8")
+    fmu = folder / ("InductionMachine.fmu" if kind == "steady" else "Coil.fmu")
+    (record,) = match_data_files(fmu, [folder / "table.csv"], InitOptions(kind=kind))
+    found = {link.variable: link.column for link in record.links}
+    assert expected.items() <= found.items()
+    assert record.settings.kind == kind
+    if "speed" in expected:
+        assert record.settings.frame is not None and record.settings.frame.pole_pairs == (
+            60 if "frequency" in found else 2
+        )
+
+
 @pytest.mark.parametrize("text", [STEADY, SPECTRUM])
 def test_a_results_folder_keeps_what_its_charts_need(folder: Path, text: str) -> None:
     found = fmuid.run(study_of(folder, text), folder / "out")
@@ -101,11 +148,15 @@ def test_a_results_folder_keeps_what_its_charts_need(folder: Path, text: str) ->
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('frequency = "f"', 'frequency = "w"', "input column 'w' not found"),
+        (
+            'frequency = "f"',
+            'frequency = "w"',
+            r"frequency column 'w' not found \(columns: f, \|Z\|, phi\). Set frequency",
+        ),
         ('frequency = "f"', 'frequency = "f"\noutputs = ["i"]', "has responses. Remove outputs"),
         ('frequency = "f"', 'frequency = "f"\nframe = { frequency = 50.0 }', "frame: give either voltage"),
         ('frequency = "f"', 'frequency = "f"\nguess = { i = 1.0 }', 'guess: needs kind = "steady"'),
-        ('of = "u / i"', 'of = "u i i"', "no signal 'u i i'"),
+        ('of = "u / i"', 'of = "u i i"', "no signal 'u i i'. `fmuid info` lists all"),
         ('phase = "phi"', 'phase = "|Z|"', "responses.Z: magnitude and phase have the same column. Name one for each"),
         ('phase = "phi"', 'phase = "phi", delay = -1.0', "responses.Z.delay: must be a number, 0 or above, not -1.0"),
         ('phase = "phi"', 'real = "phi"', "responses.Z: magnitude and real cannot be combined|real and magnitude"),
@@ -132,14 +183,14 @@ def test_wrong_responses_are_refused(folder: Path, old: str, new: str, message: 
         ('data = "tests.csv"', 'data = "tests.csv"\npreprocess = { detrend = "mean" }', "only computed_columns"),
         ('slip = "s"', 'slip = "s", speed = "n"', "frame: give either slip or speed"),
         ('slip = "s"', 'speed = "n"', "speed needs pole_pairs"),
-        ('slip = "s"', 'slip = "slip"', "input column 'slip' not found"),
+        ('slip = "s"', 'slip = "slip"', "slip column 'slip' not found.* Set slip to its column"),
         ("frequency = 50.0", "frequency = 0.0", "frequency must be above 0 Hz"),
         ('voltage = "U"', "voltage = -230.0", "frame: voltage must be above 0 V in every row, not as in row 1"),
         ('slip = "s"', 'slip = "n"', "frame: slip 1.5e[+]03 in row 1 is no fraction. Check units and pole_pairs"),
         ('slip = "s"', 'speed = "n", pole_pairs = 2.5', "frame.pole_pairs: must be a whole number above 0"),
         ('data = "tests.csv"', 'data = "tests.csv"\nguess = { x = 1.0 }', "guess has no effect with frame. Remove it"),
         ('data = "tests.csv"', 'data = "tests.csv"\ninputs = { uds = "U" }', "frame gives the input 'uds'. Remove it"),
-        ('P = "P"', 'torque = "T"', "'torque' needs pole_pairs in frame"),
+        ('P = "P"', 'torque = "T"', "'torque' needs pole_pairs. Set it in frame"),
         ('P = "P"', 'ids = "P"', "with frame, outputs are I_rms, P, Q, S"),
         ('kind = "steady"', 'kind = "static"', 'must be "time" or "steady" or "frequency"'),
     ],
@@ -159,6 +210,16 @@ def test_a_row_without_an_input_is_refused(folder: Path, value: float, what: str
         study_of(folder).problem()
 
 
+def test_a_negative_magnitude_is_refused_and_an_empty_one_is_noted(folder: Path) -> None:
+    rows = {"f": [1.0, 10.0, 30.0], "|Z|": [4.0, 7.4, 19.2], "phi": [9.0, 57.5, np.nan]}
+    pd.DataFrame(rows).to_csv(folder / "spectrum.csv", index=False)
+    (note,) = input_notes(study_of(folder, SPECTRUM).simulators())
+    assert str(note).endswith("spectrum.csv: 1 of 3 samples of 'phi' are missing.")
+    pd.DataFrame({**rows, "|Z|": [4.0, -7.4, 19.2]}).to_csv(folder / "spectrum.csv", index=False)
+    with pytest.raises(InputError, match=r"magnitude '\|Z\|' is negative in row 2. Use decibel"):
+        study_of(folder, SPECTRUM).problem()
+
+
 def test_half_a_response_is_refused(folder: Path) -> None:
     table = pd.DataFrame({"f": [1.0, 10.0], "|Z|": [4.0, np.nan], "phi": [1.0, 2.0]})
     table.to_csv(folder / "spectrum.csv", index=False)
@@ -170,7 +231,7 @@ def test_half_a_response_is_refused(folder: Path) -> None:
 def test_a_table_without_times_names_the_kind(folder: Path) -> None:
     three_tests().drop(columns="T").to_csv(folder / "tests.csv", index=False)  # which might be a time
     text = STEADY.replace('kind = "steady"', "").replace("frame = {", "# ")
-    with pytest.raises(InputError, match=r"or set kind for rows without times"):
+    with pytest.raises(InputError, match=r"or a kind for rows without times"):
         study_of(folder, text).problem()
 
 

@@ -65,6 +65,9 @@ def init(
         list[str] | None,
         Option(metavar="KEY=VALUE", help="Number of the nameplate, e.g. 'P=1.1 kW'; repeatable."),
     ] = None,
+    kind: Annotated[
+        str, Option(metavar="KIND", help="time; or steady or frequency, for rows without a time.")
+    ] = "time",
     force: Annotated[bool, Option("--force", help="Replace a study file that was edited.")] = False,
     preview: Annotated[bool, Option("--preview", help="Show how the data are read, and write nothing.")] = False,
 ) -> int:
@@ -81,6 +84,7 @@ def init(
         columns,
         {word: studies.value_of(text) for word, text in words.items()},
         _pairs(unit or (), "--unit", "variable=unit", "w=rpm"),
+        kind=kind,
     )
     found = studies.match_data_files(fmu, data, asked)
     if preview:

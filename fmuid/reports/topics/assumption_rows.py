@@ -31,7 +31,8 @@ def assumption_rows(found: IdentificationRun) -> list[Row]:
     if has_open_time_unit(found.origin):
         rows.append(("time unit", "that of the data file, else s", ""))
     rows += [("roles of columns", f"{key} guessed by `fmuid init`", "") for key in guessed_keys(text) & ROLES]
-    rows += [*_delay(result), *_noise(result), *_solver(result)]
+    in_time = any(each.kind == "time" for each in experiments)  # steady states have no solver
+    rows += [*_delay(result), *_noise(result), *(_solver(result) if in_time else ())]
     return list(dict.fromkeys(rows))
 
 
@@ -62,7 +63,7 @@ def _initial_states(experiments: Sequence[Experiment], errors: ModelErrors | Non
 
 def _interpolations(experiments: Sequence[Experiment], errors: ModelErrors | None, guessed: set[str]) -> Iterator[Row]:
     words: dict[str, list[str]] = {}
-    for each in experiments:
+    for each in (one for one in experiments if one.kind == "time"):
         for name, held in zip(each.input_names, each.held.tolist(), strict=True):
             where = f" in {each.name}" if len(experiments) > 1 else ""
             words.setdefault("held" if held else "interpolated", []).append(f"{name}{where}")

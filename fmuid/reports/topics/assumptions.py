@@ -13,7 +13,7 @@ from fmuid.identification import DataDefect, DefectKind, DirectedTest, Direction
 from fmuid.reports.chart import Axis, Chart, Data, Layer, rows_of
 from fmuid.reports.document import DETAIL, PAGE, Message, Remark, Section, doubt, plain, table_of_rows
 
-SHOWN_EXPOSURES = 12
+SHOWN_EXPOSURES, SHOWN_ALTERNATIVES = 12, 3
 """Errors in table and figure: those that move an estimate most."""
 VERBOSE = DETAIL | PAGE
 HIDING_CAPTION = (
@@ -137,7 +137,8 @@ def error_names(direction: Direction) -> str:
         subject = subject[: len(subject) // 2]
     elif kind in (ErrorKind.SATURATION, ErrorKind.STATE_DEPENDENCE):
         subject = subject[:1]
-    return f"{kind.value.replace('_', ' ')} of {listed(subject)}"
+    by = f" by {direction.subject[1]}" if kind is ErrorKind.SATURATION and len(direction.subject) > 1 else ""
+    return f"{kind.value.replace('_', ' ')} of {listed(subject)}{by}"
 
 
 def _fields(kind: ErrorKind, subject: Sequence[str], size: str) -> dict[str, str]:
@@ -194,7 +195,10 @@ def _error_text(error: ModelError) -> str:
 def _sized(direction: Direction, size: float, std: float, others: Sequence[Direction]) -> str:
     """Return an error with its size, and those that explain as much."""
     fields = _fields(direction.kind, direction.subject, size_text(direction, size, std))
-    return ", or ".join([ModelErrorMessage[direction.kind.name].text.format(**fields), *map(error_names, others)])
+    names = [error_names(each) for each in others]
+    more = [f"{len(names) - SHOWN_ALTERNATIVES} more"] if len(names) > SHOWN_ALTERNATIVES else []
+    text = ModelErrorMessage[direction.kind.name].text.format(**fields)
+    return ", or ".join([text, *names[:SHOWN_ALTERNATIVES], *more])
 
 
 def model_error_remarks(found: ModelErrors | None) -> list[Remark]:

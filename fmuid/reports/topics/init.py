@@ -13,7 +13,7 @@ from fmuid.errors import InputError
 from fmuid.formatting import two_digits, unit_text
 from fmuid.reports.document import Document, Message, Remark, Section, Table, doubt, plain, table_of_rows
 from fmuid.reports.render.console import console, show_remarks, show_section
-from fmuid.reports.topics.study_notes import gap_remark, size_remark, time_remark
+from fmuid.reports.topics.study_notes import gap_remark, missing_remark, size_remark, time_remark
 from fmuid.studies import SHOWN_CHANGE, ColumnMatch, Draft, MatchedDataFile, MatchReason, proposal
 
 
@@ -29,9 +29,7 @@ class InitMessage(Message, section="columns"):
         remedy="Add --map {first}=COLUMN, or --map {first}= to keep its start value.",
     )
     NO_OUTPUT = doubt("{file}: no column for the output {names}.", remedy="Add --map {first}=COLUMN.")
-    NO_OUTPUTS = doubt(
-        "{file}: the FMU declares no outputs, and no column has a variable's name.", remedy="Add --map VARIABLE=COLUMN."
-    )
+    NO_OUTPUTS = doubt("{file}: no column has the name of an output.", remedy="Add --map VARIABLE=COLUMN.")
     UNIT = doubt(
         "{file}: unit {unit!r} of {column!r} does not convert to {wanted!r}.",
         remedy=(
@@ -39,7 +37,6 @@ class InitMessage(Message, section="columns"):
             '"--unit={name}=pu of 10 {wanted}" for multiples of 10 {wanted}.'
         ),
     )
-    MISSING = doubt("{file}: {count} of {rows} samples of {column!r} are missing.")
     HELD = doubt(
         "{file}: zero-order hold assumed for {names}.", remedy='Set interpolation = "linear" for measured inputs.'
     )
@@ -75,7 +72,8 @@ def record_section(record: MatchedDataFile) -> Section:
 
 def rows_section(record: MatchedDataFile) -> Section:
     """Return the first rows of a data file as read."""
-    return Section("rows", "First rows as read, time in s", table=rows_table(record))
+    title = "First rows as read, time in s" if record.in_time else "First rows as read"
+    return Section("rows", title, table=rows_table(record))
 
 
 def rows_table(record: MatchedDataFile) -> Table:
@@ -83,7 +81,7 @@ def rows_table(record: MatchedDataFile) -> Table:
     first = record.frame.head(5)
     columns = {
         str(name): [f"{each:.6g}" if isinstance(each, float) else str(each) for each in first[name]]
-        for name in [record.time, *record.columns]
+        for name in [*([record.time] if record.in_time else []), *record.columns]
     }
     return table_of_rows([*columns], zip(*columns.values(), strict=True), ())
 
@@ -99,6 +97,8 @@ def notes(record: MatchedDataFile) -> list[Remark]:
 
 def heading(record: MatchedDataFile, name: str) -> str:
     """Return the heading of a data file."""
+    if not record.in_time:
+        return f"{name}: {len(record.frame)} rows"
     span = record.frame[record.time]
     return f"{name}: {len(record.frame)} samples, {span.min():.6g} to {span.max():.6g} s"
 
@@ -131,14 +131,14 @@ def remarks(record: MatchedDataFile) -> list[Remark]:
         lacking = record.lacking(role)
         if lacking and (role == "input" or not record.roles(role) or record.unused):
             say(message, names=", ".join(lacking), first=lacking[0])
-    if not record.roles("output") and not record.lacking("output"):
+    if not record.measured_columns and not record.lacking("output"):
         say(InitMessage.NO_OUTPUTS)
     for link in record.foreign_units:
         unit = record.asked.units.get(link.variable, link.column_unit)
         say(InitMessage.UNIT, unit=unit, column=link.column, name=link.variable, wanted=link.unit or "1")
     rows = 0 if record.experiment is None else record.experiment.times.size
     for column, count in record.missing.items():
-        say(InitMessage.MISSING, column=column, count=count, rows=rows)
+        found.append(missing_remark(file, column, count, rows))
     if record.interpolation != "linear":
         say(InitMessage.HELD, names=", ".join(record.held))
     if record.dropouts:

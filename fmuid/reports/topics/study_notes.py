@@ -5,6 +5,8 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterable, Sequence
 
+import numpy as np
+
 from fmuid.formatting import listed, two_digits
 from fmuid.identification import TimeScaleMismatch, TimeScaleWarning
 from fmuid.reports.document import Message, Remark, doubt
@@ -39,6 +41,7 @@ class StudyMessage(Message):
         "a wrong unit, or start values of another machine",
         'Set the units of {column} and of the inputs, for example U = "mV".',
     )
+    MISSING = doubt("{data}: {count} of {rows} samples of {column!r} are missing.")
     NO_DATA = doubt("{data}: no column for {inputs}; start value used.")
     NOT_SUCCEEDED = doubt("{path}: this earlier result did not succeed ({outcome}).", remedy="Identify it again.")
     DOUBTFUL = doubt(
@@ -57,12 +60,21 @@ def source_notes(study: Study) -> list[Remark]:
 
 
 def input_notes(simulators: Iterable[AnySimulator]) -> list[Remark]:
-    """Return the inputs without data."""
-    return [
-        StudyMessage.NO_DATA.said(data=each.experiment.source, inputs=names)
-        for each in simulators
-        if (names := ", ".join(each.unfed_inputs))
-    ]
+    """Return inputs without data, and empty cells of rows."""
+    found = []
+    for each in simulators:
+        own = each.experiment
+        if names := ", ".join(each.unfed_inputs):
+            found.append(StudyMessage.NO_DATA.said(data=own.source, inputs=names))
+        for name, values in zip(own.output_names, own.output_values.T, strict=True) if own.kind != "time" else ():
+            if count := int(np.isnan(values).sum()):
+                found.append(missing_remark(own.source, own.columns[name], count, len(values)))
+    return found
+
+
+def missing_remark(source: str, column: str, count: int, rows: int) -> Remark:
+    """Return the number of empty cells of a column."""
+    return StudyMessage.MISSING.said(data=source, column=column, count=count, rows=rows)
 
 
 def time_notes(study: Study, simulators: Sequence[AnySimulator]) -> list[Remark]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -12,7 +12,8 @@ import numpy as np
 
 from fmuid.data import CLOCKS, COMMON_MARKS, LEFT_OUT, dropouts, far_values, read_data, time_name, with_missing
 from fmuid.errors import InputError
-from fmuid.studies.init.column_matching import ColumnMatch, guess
+from fmuid.studies.init.column_matching import ColumnMatch, MatchReason, guess
+from fmuid.studies.init.row_columns import SUPPLY_FREQUENCY, ratio_of, response_columns, supply_columns
 from fmuid.units import unit_in_name
 
 if TYPE_CHECKING:
@@ -41,30 +42,35 @@ class InitOptions:
     prepare: Mapping[str, Any] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     missing: tuple[float, ...] = ()
+    kind: str = "time"
 
 
 @dataclass(frozen=True, eq=False)
 class MatchedDataFile:
-    """Data file with its columns matched; `marks` are numbers taken as missing, with their count, by column."""
+    """Data file with its columns matched.
+
+    `marks` are numbers taken as missing, with their count, by column; the FMU may declare `terminals` of a machine.
+    """
 
     path: Path
     asked: InitOptions
     description: Description = field(repr=False)
     frame: pd.DataFrame = field(repr=False)
     marks: Mapping[str, Mapping[float, int]] = field(default_factory=dict)
+    terminals: bool = False
 
     @classmethod
-    def read(cls, path: Path, description: Description, asked: InitOptions) -> MatchedDataFile:
+    def read(cls, path: Path, description: Description, asked: InitOptions, *, terminals: bool) -> MatchedDataFile:
         """Read a data file."""
         how = {word: getattr(asked, word) for word in ("time_unit", "sample_rate", "sheet")}
-        frame = read_data(path, asked.time, **how)
+        frame = read_data(path, asked.time if asked.kind == "time" else None, **how)
         numbers = {str(name): column for name, column in frame.select_dtypes("number").items() if name != asked.time}
         found = {name: far_values(np.asarray(column, dtype=np.float64)) for name, column in numbers.items()}
         marks = {name: own for name, own in found.items() if own and set(own) <= set(COMMON_MARKS)}
         if not marks:
-            return cls(path, asked, description, frame)
+            return cls(path, asked, description, frame, terminals=terminals)
         missing = tuple(sorted({value for own in marks.values() for value in own}))
-        return cls(path, replace(asked, missing=missing), description, with_missing(frame, missing), marks)
+        return cls(path, replace(asked, missing=missing), description, with_missing(frame, missing), marks, terminals)
 
     def with_columns(self, columns: Mapping[str, str]) -> MatchedDataFile:
         """Return the same with more known columns."""
@@ -85,7 +91,26 @@ class MatchedDataFile:
         """Matches of the columns."""
         in_names = {column: unit for column in self.columns if (unit := unit_in_name(column))}
         units = in_names | self.frame.attrs.get("units", {})
+        if self.asked.kind == "frequency":
+            return self._as_given(response_columns(self.columns, units))
+        if self.asked.kind == "steady" and self.terminals:
+            found = list(supply_columns(self.columns))
+            known = any(link.variable == "speed" for link in found)  # gives the pole pairs, which a torque needs
+            return self._as_given(link for link in found if known or link.variable not in ("torque", "efficiency"))
         return guess(self.description, self.columns, units, self.asked.columns)
+
+    def _as_given(self, found: Iterable[ColumnMatch]) -> tuple[ColumnMatch, ...]:
+        """Return matches, with the given columns in place of theirs."""
+        own, given = {each.variable: each for each in found}, self.asked.columns
+        for name, column in given.items():
+            role = own[name].role if name in own else "response" if self.asked.kind == "frequency" else "output"
+            own[name] = ColumnMatch(name, role, column or None, MatchReason.GIVEN)
+        return tuple(each for each in own.values() if each.column is not None)
+
+    @property
+    def in_time(self) -> bool:
+        """True if rows have a time."""
+        return self.asked.kind == "time"
 
     @cached_property
     def foreign_units(self) -> tuple[ColumnMatch, ...]:
@@ -94,7 +119,7 @@ class MatchedDataFile:
 
     def _converts(self, link: ColumnMatch) -> bool:
         unit = self.asked.units.get(link.variable, link.column_unit)
-        if link.column is None or not unit:
+        if link.column is None or not unit or link.variable not in self.description.variables:
             return True
         try:
             return bool(self.description.conversion(self.description.variables[link.variable], unit))
@@ -104,6 +129,11 @@ class MatchedDataFile:
     def roles(self, role: str) -> dict[str, str]:
         """Return variables and columns of one role."""
         return {link.variable: link.column for link in self.links if link.role == role and link.column is not None}
+
+    @property
+    def measured_columns(self) -> dict[str, str]:
+        """Outputs, or parts of responses, and their columns."""
+        return self.roles("response" if self.asked.kind == "frequency" else "output")
 
     def lacking(self, role: str) -> tuple[str, ...]:
         """Return variables without column, except inputs given as none."""
@@ -126,6 +156,32 @@ class MatchedDataFile:
     def clocks(self) -> Mapping[str, str]:
         """Time column of each column; none of a single clock."""
         return dict(self.frame.attrs.get(CLOCKS, {}))
+
+    @property
+    def of_rows(self) -> dict[str, Any]:
+        """Keys of an experiment without a time that columns show."""
+        own = self.roles("frame")
+        if self.asked.kind == "frequency":
+            responses: dict[str, dict[str, str]] = {}
+            for link in (each for each in self.links if each.role == "response"):
+                name, _, part = link.variable.rpartition(".")
+                unit = link.column_unit if part not in ("phase", "decibel") else None
+                known = responses.setdefault(name, {"of": ratio_of(unit, self.description)})
+                known[part] = link.column or ""
+            return {"frequency": own.get("frequency", "frequency"), "responses": responses}
+        if not own:
+            return {}
+        frame: dict[str, Any] = {"frequency": SUPPLY_FREQUENCY, **own}
+        if "speed" in frame:
+            supply, speed = (
+                np.max(self.frame[each]) if isinstance(each, str) else each
+                for each in (frame["frequency"], frame["speed"])
+            )
+            frame["pole_pairs"] = max(1, int(60.0 * supply / speed))
+        for one, other in (("slip", "speed"), ("voltage", "line_voltage")):
+            if one in frame:
+                frame.pop(other, None)
+        return {"frame": frame}
 
     @cached_property
     def held(self) -> tuple[str, ...]:
@@ -166,7 +222,7 @@ class MatchedDataFile:
 
     @cached_property
     def _made(self) -> tuple[Experiment | None, str]:
-        if not self.roles("output"):
+        if not self.measured_columns:
             return None, ""
         try:
             return self.settings.experiment(self.frame, str(self.path)), ""
@@ -179,9 +235,14 @@ class MatchedDataFile:
         from fmuid.studies.model import ExperimentSettings
         from fmuid.studies.section import SectionLocation
 
-        words: dict[str, Any] = {"data": str(self.path.absolute()), "name": self.path.stem, "time": self.asked.time}
-        words |= {"inputs": self.roles("input"), "outputs": self.roles("output")}
-        words |= {"interpolation": self.interpolation, "preprocess": dict(self.asked.prepare)}
+        words: dict[str, Any] = {"data": str(self.path.absolute()), "name": self.path.stem}
+        if self.asked.kind != "frequency":
+            words |= {"inputs": self.roles("input"), "outputs": self.roles("output")}
+        if self.in_time:
+            words |= {"time": self.asked.time, "interpolation": self.interpolation}
+        else:
+            words |= {"kind": self.asked.kind, **self.of_rows}
+        words |= {"preprocess": dict(self.asked.prepare)}
         words |= {"units": dict(self.asked.units)} | ({"missing": [*self.asked.missing]} if self.marks else {})
         return ExperimentSettings.read(words, SectionLocation(str(self.path), Path()))
 
@@ -199,7 +260,9 @@ class MatchedDataFile:
     @property
     def dropouts(self) -> tuple[float, ...]:
         """Times, s, after which rows are missing."""
-        return dropouts(self.experiment.times) if self.experiment and self.experiment.input_names else ()
+        return (
+            dropouts(self.experiment.times) if self.experiment and self.in_time and self.experiment.input_names else ()
+        )
 
     @property
     def constant(self) -> dict[str, float]:

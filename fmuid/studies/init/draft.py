@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fmuid.errors import InputError
-from fmuid.files import exists, relative
+from fmuid.files import exists, is_file, relative
 from fmuid.formatting import two_digits
 from fmuid.identification import nameplate_prior
 from fmuid.models import System
@@ -65,7 +65,8 @@ def match_data_files(
     from fmuid.models import read_description
 
     description = read_description(fmu)
-    records = tuple(MatchedDataFile.read(table, description, asked or InitOptions()) for table in tables)
+    terminals, given = is_file(fmu.with_suffix(".nameplate.toml")), asked or InitOptions()
+    records = tuple(MatchedDataFile.read(table, description, given, terminals=terminals) for table in tables)
     for record in records:
         _ = record.links, record.settings  # checks what is given
     return records
@@ -151,19 +152,23 @@ def _experiment(record: MatchedDataFile, output: Path, name: str, *, first: bool
         "[[experiments]]" + ("  # repeat this section for each experiment" if first else ""),
         f"data = {toml_text(relative(record.path, output.parent))}",
         *([f"name = {toml_text(name)}"] if name else []),
-        f"time = {toml_text(asked.time)}"
-        + ("  # or the name of the time column: Time (ms), t, timestamp" if first else ""),
+        *(_time(record, first=first) if record.in_time else [f"kind = {toml_text(asked.kind)}"]),
         *(f"{word} = {toml_text(value)}" for word, value in said.items() if value is not None),
-        *_role(record, "input"),
-        *_role(record, "output"),
+        *(_role(record, "input") if not record.of_rows else []),
+        *(_role(record, "output") if asked.kind != "frequency" else []),
+        *(f"{word} = {toml_text(value)}  # guessed: check" for word, value in record.of_rows.items()),
         *([f"# unused columns: {listed(record.unused)}"] if record.unused else []),
         *([f"missing = {toml_text([*asked.missing])}  # taken for marks of missing samples"] if asked.missing else []),
         *([f"units = {toml_text(asked.units)}"] if asked.units else []),
         *([f"preprocess = {toml_text(asked.prepare)}"] if asked.prepare else []),
-        *(['# for other column names: outputs = { fmu_variable = "column" }'] if first else []),
-        _interpolation(record),
-        example(ExperimentSettings, "warmup"),
+        *(['# for other column names: outputs = { fmu_variable = "column" }'] if first and record.in_time else []),
+        *([_interpolation(record), example(ExperimentSettings, "warmup")] if record.in_time else []),
     ]
+
+
+def _time(record: MatchedDataFile, *, first: bool) -> list[str]:
+    remark = "  # or the name of the time column: Time (ms), t, timestamp" if first else ""
+    return [f"time = {toml_text(record.asked.time)}{remark}"]
 
 
 def _interpolation(record: MatchedDataFile) -> str:

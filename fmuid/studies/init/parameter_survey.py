@@ -122,11 +122,13 @@ def _surveyed(system: System, description: Description, experiments: Sequence[Ex
 
     names = [v.name for v in candidates_of(description)][: SETTINGS.max_examined]
     changes = _changes(system, experiments, description, names, {})
-    begun = starts_of(system, experiments[0], description, names, _moved(changes.variables, changes.starts))
+    in_time = [each for each in experiments if each.kind == "time"]
+    moved = _moved(changes.variables, changes.starts)
+    begun = starts_of(system, in_time[0], description, names, moved) if in_time else []
     freed = _freed_starts(changes, begun)
     if freed:  # effects may depend on the initial state
         changes = _changes(system, experiments, description, names, freed)
-    doubts = (doubt_of_time(Simulator(system, each), ()) for each in experiments)
+    doubts = (doubt_of_time(Simulator(system, each), ()) for each in in_time)
     driven = any(each.input_names for each in experiments)
     proposed, doubtful = _proposed(changes, begun, freed, driven=driven), tuple(filter(None, doubts))
     return Survey(proposed, doubtful, changes.sizes if driven else ())
@@ -172,7 +174,7 @@ def _changes(
     names: Sequence[str],
     moved_starts: Mapping[int, float],
 ) -> _Changes:
-    from fmuid.simulation import Simulator
+    from fmuid.simulation import simulator_of
 
     variables = tuple(description.variables[name] for name in names)
     starts = np.array([moved_starts.get(k, _number(v.start) or 0.0) for k, v in enumerate(variables)])
@@ -180,11 +182,11 @@ def _changes(
     relative = SETTINGS.step * np.sign(np.diag(thetas[1:] - starts))
     rows, weights, first, changed, limits, sizes = [], [], [], [], [], []
     for experiment in experiments:
-        found = Simulator(system, experiment, names).many(thetas)
+        found = simulator_of(system, experiment, names).many(thetas)
         if found.errors[0] is not None:
             raise found.errors[0]
         base, moved = found.outputs[0], found.outputs[1:]
-        direct = direct_effects(system, experiment)
+        direct = direct_effects(system, experiment) if experiment.kind == "time" else ()
         for j in range(base.shape[1]):
             spread = _spread(experiment, j)
             counted = experiment.counted[:, j]
@@ -195,7 +197,7 @@ def _changes(
             noise = max(_noise(experiment, j) / spread, SETTINGS.min_noise)
             weights.append(np.full(int(counted.sum()), 1.0 / noise))
             measured = experiment.output_values[0, j]
-            if np.isfinite(measured):
+            if experiment.kind == "time" and np.isfinite(measured):
                 first.append((measured - base[0, j]) / spread)
                 changed.append((moved[:, 0, j] - base[0, j]) / (relative * spread))
                 limits.append(max(SETTINGS.starts_off * noise, SETTINGS.starts_floor) + direct[j] / spread)

@@ -40,6 +40,16 @@ def test_data_files_are_shown_as_read(page: NewPage) -> None:
     assert "sample rate: -3 is not a number above 0" in page.said.text
 
 
+def test_rows_without_a_time_are_shown(page: NewPage, tmp_path: Path) -> None:
+    (tmp_path / "points.csv").write_text("u,i\n2,0.5\n4,1.01\n8,1.99\n", encoding="utf-8")
+    page.tables.options = [*page.tables.options, "points.csv"]
+    page.tables.value = ["points.csv"]
+    assert "a kind for rows without times" in page.said.text
+    page.kind.value = "steady"
+    assert "3 rows" in page.said.text
+    assert page.words()[-2:] == ["--kind", "steady"]
+
+
 def test_chosen_columns_are_in_the_command(page: NewPage) -> None:
     page.tables.value = ["bench.csv"]
     page.maps["i"].value = "(none)"

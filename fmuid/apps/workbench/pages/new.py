@@ -22,7 +22,7 @@ from fmuid.reports.render.html import text as escaped
 from fmuid.reports.topics.init import heading, links_table, notes, remarks, rows_table
 from fmuid.reports.topics.preprocessing import preprocessing_charts
 from fmuid.runs import prepared_columns
-from fmuid.studies import InitOptions, MatchedDataFile, match_data_files, parse_column, value_of
+from fmuid.studies import KINDS, InitOptions, MatchedDataFile, match_data_files, parse_column, value_of
 from fmuid.units import TIME_UNITS
 
 GUESSED, NONE = "(guess)", "(none)"  # a guessed column, and none
@@ -45,6 +45,7 @@ class NewPage:
         known = [self.folder.name(path) for path in tables(self.folder)]
         self.fmu = choice("FMU", ["", *fmus], "fmu", fmus[0] if len(fmus) == 1 else "")
         self.tables = several("data files, one per experiment", known, "chosen")
+        self.kind = choice("rows", KINDS, "kind", KINDS[0])
         self.time = typed("time column", "time", "time")
         self.unit = choice("time unit", ["", *TIME_UNITS], "time-unit")
         self.rate = typed("sample rate (Hz)", "", "rate")
@@ -59,7 +60,7 @@ class NewPage:
         self.run = CommandPanel(
             doc, bench.jobs, self.folder.root / "init", {"Write study": self.write}, ended=self._end
         )
-        how = (self.time, self.unit, self.rate, self.sheet)
+        how = (self.kind, self.time, self.unit, self.rate, self.sheet)
         on_change(self.look, self.fmu, self.tables, *how, self.output, *self.prepare.values())
         lines = [line(*some) for some in (how, self.prepare.values())]
         wide = {"sizing_mode": "stretch_width"}
@@ -83,14 +84,15 @@ class NewPage:
         columns = {name: "" if value == NONE else value for name, value in given.items()}
         how = {word: value_of(each.value) for word, each in self.prepare.items() if each.value.strip()}
         sheet = parse_column(self.sheet.value) if self.sheet.value.strip() else None
-        return InitOptions(parse_column(self.time.value or "time"), self.unit.value or None, rate, sheet, columns, how)
+        time, kind = parse_column(self.time.value or "time"), self.kind.value
+        return InitOptions(time, self.unit.value or None, rate, sheet, columns, how, kind=kind)
 
     def words(self) -> list[str]:
         """Return the command, for the opened folder."""
         asked = self.asked
         options = [("--output", self.output.value), ("--time", str(asked.time) if asked.time != "time" else "")]
         options += [("--time-unit", asked.time_unit or ""), ("--sample-rate", self.rate.value.strip())]
-        options += [("--sheet", self.sheet.value.strip())]
+        options += [("--sheet", self.sheet.value.strip()), ("--kind", asked.kind if asked.kind != "time" else "")]
         options += [("--map", f"{name}={value}") for name, value in asked.columns.items()]
         options += [
             ("--preprocess", f"{word}={each.value}") for word, each in self.prepare.items() if each.value.strip()
@@ -114,7 +116,8 @@ class NewPage:
             return
         self._offer()
         self.said.text = "".join(_record(record, self.folder) for record in self.records)
-        self.drawn.children = [self._figure(record) for record in self.records if record.experiment is not None]
+        drawn = [record for record in self.records if record.in_time and record.experiment is not None]
+        self.drawn.children = [self._figure(record) for record in drawn]
         self.run.buttons[0].disabled = False
 
     def _offer(self) -> None:
@@ -156,10 +159,10 @@ class NewPage:
 
 def _record(record: MatchedDataFile, folder: Folder) -> str:
     """Return a data file, as read and as matched, as HTML."""
-    read = table(rows_table(record))
+    read, clock = table(rows_table(record)), ", time in s" if record.in_time else ""
     file = "\n".join(first_lines(record.path, 10))[:1200]
     file = details("First lines of the file", file) if file else ""
     said = "".join(f"<li>{escaped(each.text)}</li>" for each in [*notes(record), *remarks(record)])
     doubts = f"<ul class=doubts>{said}</ul>" if said else ""
     title = escaped(heading(record, folder.name(record.path)))
-    return f"<h3>{title}</h3>{table(links_table(record))}{doubts}<p class=soft>As read, time in s:</p>{read}{file}"
+    return f"<h3>{title}</h3>{table(links_table(record))}{doubts}<p class=soft>As read{clock}:</p>{read}{file}"
