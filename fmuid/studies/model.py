@@ -27,9 +27,8 @@ from fmuid.models import (
 from fmuid.simulation import MOST_STEPS, Value
 from fmuid.studies import value_kinds as kinds
 from fmuid.studies.array_elements import by_element
-from fmuid.studies.data_section import DataSection
 from fmuid.studies.observation import ObservationSection
-from fmuid.studies.operating_points import KindSection
+from fmuid.studies.operating_points import DataSection
 from fmuid.studies.parameters import PriorSource, ResultValueSection
 from fmuid.studies.section import SectionLocation, Settings, StudySection, entry
 
@@ -226,7 +225,7 @@ Interpolation = Annotated[str, kinds.one_of(INTERPOLATIONS)]
 Interpolations = Annotated[dict[str, Interpolation], kinds.Entries("{ input = interpolation }")]
 
 
-class ExperimentSettings(KindSection, DataSection):
+class ExperimentSettings(DataSection):
     """Experiment: a data file with the roles of its columns."""
 
     name: kinds.Text = entry("", "name in messages and figures; default: the file name without suffix")

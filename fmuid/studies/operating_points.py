@@ -1,4 +1,4 @@
-"""Keys of experiments without a time."""
+"""Keys of ``[[experiments]]`` about the data file, and of experiments without a time."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from fmuid.data import Response, RotatingFrame
 from fmuid.studies import value_kinds as kinds
 from fmuid.studies.section import Settings, StudySection, entry
+from fmuid.units import TIME_UNITS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -21,9 +22,20 @@ OF_KIND = {"steady": ("frame", "guess"), "frequency": ("frequency", "responses",
 Responses = Annotated[dict[str, Annotated[Response, Settings()]], kinds.Entries("{ name = section }")]
 
 
-class KindSection(StudySection):
-    """Kind of an experiment, and what only one kind has."""
+class DataSection(StudySection):
+    """Data file, how it is read, its kind, and what only one kind has."""
 
+    data: kinds.File = entry(..., "data file")
+    time: kinds.NameOrPlace = entry("time", "time column, by name or number from 1")
+    time_unit: Annotated[str, kinds.one_of(TIME_UNITS)] | None = entry(
+        None, "unit of the time column; default: that of the file, else s"
+    )
+    sample_rate: kinds.Positive | None = entry(None, "samples per second, for data without times or with coarse ones")
+    sheet: kinds.NameOrPlace | None = entry(None, "sheet, by name or number from 1; default: the first with data")
+    missing: kinds.Marks | None = entry(
+        None, "texts and numbers that stand for no sample; [] accepts values far beyond all others", ["OL", -9999]
+    )
+    clocks: kinds.Texts = entry({}, "time columns of columns, { column = time column }, of tables with several")
     kind: Annotated[str, kinds.one_of(KINDS)] = entry(
         "time", '"steady": rows are operating points; "frequency": rows are frequencies', "steady"
     )

@@ -10,7 +10,7 @@ import numpy as np
 from fmuid.estimation import Doubt
 from fmuid.formatting import listed, two_digits, unit_text, with_std
 from fmuid.identification import DataDefect, DefectKind, DirectedTest, Direction, ErrorKind, ModelError, ModelErrors
-from fmuid.reports.chart import Axis, Chart, Data, Layer, rows_of
+from fmuid.reports.chart import Axis, Chart, Data, Layer, kinds, rows_of
 from fmuid.reports.document import DETAIL, PAGE, Message, Remark, Section, doubt, plain, table_of_rows
 
 SHOWN_EXPOSURES, SHOWN_ALTERNATIVES = 12, 3
@@ -268,14 +268,13 @@ def _hiding_chart(tests: Sequence[DirectedTest]) -> Chart:
     names = tuple(error_names(each.direction) for each in tests)
     usual = np.array([each.most[1] * each.direction.usual for each in tests])
     until = np.array([each.hidden for each in tests])
-    testable = np.isfinite(until)
+    testable, hover = np.isfinite(until), (("shift", "@x{0.00} σ"),)
     shown: Data = {"x": usual, "y": names}
-    ends: Data = {"x": until[testable], "y": tuple(np.array(names)[testable])}
-    open_ends: Data = {"x": usual[~testable], "y": tuple(np.array(names)[~testable])}
+    ends: Data = {"x": until, "y": names}
     layers = [
-        Layer("points", shown, "blue", size=9, label="usual size", hover=(("shift", "@x{0.00} σ"),)),
-        Layer("points", ends, "amber", size=10, marker="bar", label="shows beyond", hover=(("shift", "@x{0.00} σ"),)),
-        *([] if testable.all() else [Layer("points", open_ends, "red", size=9, marker="x", label="not testable")]),
+        Layer("points", shown, size=9, label="usual size", hover=hover),
+        *kinds("points", ends, [("shows beyond", "amber", testable)], size=10, marker="bar", hover=hover),
+        *kinds("points", shown, [("not testable", "red", ~testable)], size=9, marker="x"),
         Layer("rule", {"x": np.array([1.0])}, "grey", dash="dashed"),
     ]
     return rows_of(names, Axis("shift of the most affected estimate, σ", "log"), layers, 110)

@@ -14,7 +14,7 @@ from fmuid.array_types import Floats
 from fmuid.estimation import Result, TerminationReason
 from fmuid.formatting import listed, rounded, unit_text, with_std
 from fmuid.identification import CONFIDENCE_LEVEL, region_rise
-from fmuid.reports.chart import LIMITS, Axis, Chart, Data, Layer, Shades, Units, intervals, named, rows_of
+from fmuid.reports.chart import LIMITS, Axis, Chart, Data, Layer, Shades, Units, intervals, kinds, named, rows_of
 from fmuid.reports.document import Message, Remark, Section, Table, plain, table_of
 from fmuid.reports.render.style import ON_PALE, ON_STRONG
 from fmuid.reports.topics.solver_check import shift_text
@@ -106,25 +106,17 @@ def forest_section(result: Result, level: float, said: Sequence[Remark]) -> Sect
 
     low, high, start = percent(ends[kept, 0]), percent(ends[kept, 1]), percent(result.estimates.start[kept])
     middle, half = percent(result.estimates.prior_mean[kept]), 100.0 * result.estimates.prior_std[kept] / scale
-    believed = np.isfinite(middle) & np.isfinite(half)
-    reach = 1.6 * float(np.max(np.abs([low, high])))
-    shown = believed & (np.abs(middle) - half < reach)
-    near, rows = np.abs(start) < reach, np.array(names, dtype=object)
-    width = float(special.ndtri(0.5 + 0.5 * level))
-    layers = [Layer("rule", {"x": 0.0}, "grey", width=1)]
-    if shown.any():
-        prior_low, prior_high = middle - width * half, middle + width * half
-        sides: Data = {
-            "x0": np.maximum(prior_low, -reach)[shown],
-            "y0": tuple(rows[shown]),
-            "x1": np.minimum(prior_high, reach)[shown],
-            "y1": tuple(rows[shown]),
-        }
-        layers.append(Layer("segments", sides, "amber", width=9, alpha=0.45, label="prior"))
-    layers += intervals(names, np.zeros(kept.size), low, high, word="deviation, %")
-    if near.any():
-        ring: Data = {"x": start[near], "y": tuple(rows[near])}
-        layers.append(Layer("points", ring, "white", size=8, edge="ink", label="initial guess"))
+    reach, width = 1.6 * float(np.max(np.abs([low, high]))), float(special.ndtri(0.5 + 0.5 * level))
+    shown = np.isfinite(half) & (np.abs(middle) - half < reach)
+    prior_low, prior_high = np.maximum(middle - width * half, -reach), np.minimum(middle + width * half, reach)
+    prior: Data = {"x0": prior_low, "y0": names, "x1": prior_high, "y1": names}
+    near = np.abs(start) < reach
+    layers = [
+        Layer("rule", {"x": 0.0}, "grey", width=1),
+        *kinds("segments", prior, [("prior", "amber", shown)], width=9, alpha=0.45),
+        *intervals(names, np.zeros(kept.size), low, high, word="deviation, %"),
+        *kinds("points", {"x": start, "y": names}, [("initial guess", "white", near)], size=8, edge="ink"),
+    ]
     axis = Axis("deviation from the estimate (%)", reach=(-reach, reach))
     chart = rows_of(names, axis, layers, 80)
     return Section(
