@@ -6,13 +6,10 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING
 
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
-
-if TYPE_CHECKING:
-    from fmuid.models import Description, Variable
+from fmuid.models import Description, Variable
 
 # Additions to names of measured and commanded quantities, in English and German.
 _MEASURED = {

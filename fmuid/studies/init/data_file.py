@@ -6,23 +6,31 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
+from pandas.api.types import is_numeric_dtype
 
-from fmuid.data import CLOCKS, COMMON_MARKS, LEFT_OUT, dropouts, far_values, read_data, time_name, with_missing
+from fmuid.array_types import Floats
+from fmuid.data import (
+    CLOCKS,
+    COMMON_MARKS,
+    LEFT_OUT,
+    Experiment,
+    dropouts,
+    far_values,
+    read_data,
+    time_name,
+    with_missing,
+)
 from fmuid.errors import InputError
+from fmuid.models import Description
 from fmuid.studies.init.column_matching import ColumnMatch, MatchReason, guess
 from fmuid.studies.init.row_columns import SUPPLY_FREQUENCY, ratio_of, response_columns, supply_columns
+from fmuid.studies.model import ExperimentSettings
+from fmuid.studies.section import SectionLocation
 from fmuid.units import unit_in_name
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from fmuid.array_types import Floats
-    from fmuid.data import Experiment
-    from fmuid.models import Description
-    from fmuid.studies.model import ExperimentSettings
 
 
 def parse_column(name: str) -> str | int:
@@ -186,8 +194,6 @@ class MatchedDataFile:
     @cached_property
     def held(self) -> tuple[str, ...]:
         """Inputs that are constant over more than half of the samples."""
-        from pandas.api.types import is_numeric_dtype
-
         found, inputs = [], self.roles("input")
         for variable, column in inputs.items():
             series = self.frame[column]
@@ -232,9 +238,6 @@ class MatchedDataFile:
     @property
     def settings(self) -> ExperimentSettings:
         """Entry of ``[[experiments]]``."""
-        from fmuid.studies.model import ExperimentSettings
-        from fmuid.studies.section import SectionLocation
-
         words: dict[str, Any] = {"data": str(self.path.absolute()), "name": self.path.stem}
         if self.asked.kind != "frequency":
             words |= {"inputs": self.roles("input"), "outputs": self.roles("output")}

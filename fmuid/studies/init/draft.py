@@ -7,13 +7,12 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from fmuid.errors import InputError
 from fmuid.files import exists, is_file, relative
 from fmuid.formatting import two_digits
 from fmuid.identification import nameplate_prior
-from fmuid.models import System
+from fmuid.models import Description, System, read_description
 from fmuid.studies.init.data_file import InitOptions, MatchedDataFile
 from fmuid.studies.init.lines import (
     declared_bounds,
@@ -37,11 +36,9 @@ from fmuid.studies.init.parameter_survey import (
     proposal,
     survey,
 )  # fmt: skip
+from fmuid.studies.model import ExperimentSettings
 from fmuid.studies.nameplate import nameplate_of, nameplate_offer
 from fmuid.studies.toml import toml_text
-
-if TYPE_CHECKING:
-    from fmuid.models import Description
 
 
 @dataclass(frozen=True)
@@ -62,8 +59,6 @@ def match_data_files(
     fmu: Path, tables: Sequence[Path], asked: InitOptions | None = None
 ) -> tuple[MatchedDataFile, ...]:
     """Read data files, and match their columns with FMU variables."""
-    from fmuid.models import read_description
-
     description = read_description(fmu)
     terminals, given = is_file(fmu.with_suffix(".nameplate.toml")), asked or InitOptions()
     records = tuple(MatchedDataFile.read(table, description, given, terminals=terminals) for table in tables)
@@ -144,8 +139,6 @@ def _is_untouched(path: Path) -> bool:
 
 
 def _experiment(record: MatchedDataFile, output: Path, name: str, *, first: bool) -> list[str]:
-    from fmuid.studies.model import ExperimentSettings
-
     asked = record.asked
     said = {"time_unit": asked.time_unit, "sample_rate": asked.sample_rate, "sheet": asked.sheet}
     return [
@@ -172,8 +165,6 @@ def _time(record: MatchedDataFile, *, first: bool) -> list[str]:
 
 
 def _interpolation(record: MatchedDataFile) -> str:
-    from fmuid.studies.model import ExperimentSettings
-
     found = record.interpolation
     if found == "linear":
         return example(ExperimentSettings, "interpolation")

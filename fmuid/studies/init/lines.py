@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Sized
 from textwrap import shorten
-from typing import TYPE_CHECKING
 
+from fmuid.models import FMU, Description, Variable
 from fmuid.studies.init.column_matching import of_tables
+from fmuid.studies.model import NumericsSection
 from fmuid.studies.section import keys_of, own_first, summary, table_of
+from fmuid.studies.study_file import StudyFile
 from fmuid.studies.toml import quoted_key, show, toml_text
-
-if TYPE_CHECKING:
-    from fmuid.models import FMU, Description, Variable
 
 OBSERVED = ("output", "local")
 """Causalities of outputs of an experiment."""
@@ -52,8 +51,6 @@ def skeleton(fmu: FMU) -> str:
 
 def numerics(description: Description) -> list[str]:
     """Return the possible solver keys of the FMU, commented out."""
-    from fmuid.studies.model import NumericsSection
-
     words = ["interface"] if len(description.interfaces) > 1 else []
     words += ["solver"] if "model-exchange" in description.interfaces else []
     return [example(NumericsSection, word) for word in (*words, "tolerance", "step_size")]
@@ -61,8 +58,6 @@ def numerics(description: Description) -> list[str]:
 
 def rest(known: Sized = ()) -> list[str]:
     """Return the sections without keys from FMU or data."""
-    from fmuid.studies.study_file import StudyFile
-
     lines: list[str] = []
     prior = () if known else (("prior", False),)
     for name, asked in (*prior, ("noise", True), ("estimation", True), ("uncertainty", False)):

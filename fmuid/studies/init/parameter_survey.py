@@ -13,18 +13,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fmuid.array_types import Floats
+from fmuid.data import Experiment
 from fmuid.errors import InputError, SimulationError
+from fmuid.identification import TimeScaleWarning, doubt_of_time
+from fmuid.models import KINDS, Description, Isolation, Numerics, System, Variable, read_description
+from fmuid.simulation import Simulator, closing, simulator_of
+from fmuid.studies.init.lines import declared_bounds
 from fmuid.studies.init.start_parameters import direct_effects, started, starts_of
-
-if TYPE_CHECKING:
-    from fmuid.data import Experiment
-    from fmuid.identification import TimeScaleWarning
-    from fmuid.models import Description, System, Variable
 
 
 @dataclass(frozen=True)
@@ -102,9 +101,6 @@ class Survey:
 
 def survey(fmu: Path, experiments: Sequence[Experiment]) -> Survey:
     """Propose free parameters from their effects at the FMU's values."""
-    from fmuid.models import KINDS, Isolation, Numerics, System, read_description
-    from fmuid.simulation import closing
-
     failure, description = "", read_description(fmu)
     # solvers inside FMUs are often too inaccurate for differences
     for interface in sorted(set(KINDS) & set(description.interfaces), reverse=True):
@@ -117,9 +113,6 @@ def survey(fmu: Path, experiments: Sequence[Experiment]) -> Survey:
 
 
 def _surveyed(system: System, description: Description, experiments: Sequence[Experiment]) -> Survey:
-    from fmuid.identification import doubt_of_time
-    from fmuid.simulation import Simulator
-
     names = [v.name for v in candidates_of(description)][: SETTINGS.max_examined]
     changes = _changes(system, experiments, description, names, {})
     in_time = [each for each in experiments if each.kind == "time"]
@@ -174,8 +167,6 @@ def _changes(
     names: Sequence[str],
     moved_starts: Mapping[int, float],
 ) -> _Changes:
-    from fmuid.simulation import simulator_of
-
     variables = tuple(description.variables[name] for name in names)
     starts = np.array([moved_starts.get(k, _number(v.start) or 0.0) for k, v in enumerate(variables)])
     thetas = _moved(variables, starts)
@@ -330,8 +321,6 @@ def _noise(experiment: Experiment, j: int) -> float:
 
 def bounds(given: Candidate) -> dict[str, float]:
     """Return the FMU's bounds, else the sign of a signed quantity."""
-    from fmuid.studies.init.lines import declared_bounds
-
     variable, start = given.variable, given.start
     found = declared_bounds(variable, start)
     signed = (variable.unit or "") in _SIGNED or _PLACE.search(f"{variable.name} {variable.description}")

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
-if TYPE_CHECKING:
-    from fmuid.array_types import Floats
-    from fmuid.data import Experiment
-    from fmuid.models import Description, System, Variable
+from fmuid.array_types import Floats
+from fmuid.data import Experiment
+from fmuid.errors import InputError, SimulationError
+from fmuid.models import Description, System, Variable
+from fmuid.simulation import Simulator
 
 _START = re.compile(r"([._](start|init|initial|0)|(?<=[a-z\d])(Start|Init)|(?<=[A-Za-z])0)$|^(start|init|initial)_")
 
@@ -86,10 +86,6 @@ def _first_samples(
     move: Floats | None = None,
 ) -> Floats | None:
     """Return initial values (N, K) with inputs moved; None if the simulation fails."""
-    from fmuid.data import Experiment
-    from fmuid.errors import InputError, SimulationError
-    from fmuid.simulation import Simulator
-
     columns = {name: f"input {k}" for k, name in enumerate(experiment.input_names)}
     first = experiment.input_values[0] + (0.0 if move is None else move)
     inputs: Mapping[str, float] = dict(zip(columns.values(), first.tolist(), strict=True))
