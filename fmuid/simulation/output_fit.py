@@ -5,19 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
 
 from fmuid.array_types import Flags, Floats
 from fmuid.codec import Layout
-from fmuid.data import response_of
+from fmuid.data import Experiment, response_of
+from fmuid.models import System
 from fmuid.simulation.predictors import output_unit
-
-if TYPE_CHECKING:
-    from fmuid.data import Experiment
-    from fmuid.models import System
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from fmuid.data import LOSSES
 from fmuid.diagnosis import Rule
-from fmuid.estimation import SENSITIVITIES, Marquardt
+from fmuid.estimation import SENSITIVITIES, GlobalSearch, Marquardt, Method
 from fmuid.formatting import nearest
 from fmuid.identification import (
     ACCURACIES,
@@ -21,9 +21,6 @@ from fmuid.identification import (
 )
 from fmuid.studies import value_kinds as kinds
 from fmuid.studies.section import SectionLocation, Settings, StudySection, entry
-
-if TYPE_CHECKING:
-    from fmuid.estimation import GlobalSearch, Method
 
 DEFAULTS = Marquardt()
 Command = Annotated[list[kinds.Text], kinds.ValueKind('a list of a program and its arguments, ["python", "tell.py"]')]
@@ -74,7 +71,6 @@ class EstimationSection(StudySection):
                 if key in self.model_fields_set:
                     raise self.error(f'needs method = "multi-start". Set it or remove {key}.', key)
             return marquardt
-        from fmuid.estimation import GlobalSearch
 
         words: dict[str, Any] = {} if self.n_starts is None else {"starts": self.n_starts}
         with self.place.located():

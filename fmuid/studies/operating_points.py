@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
-from fmuid.data import Response, RotatingFrame
+import pandas as pd
+
+from fmuid.data import Experiment, FrequencyExperiment, Response, RotatingFrame, SteadyExperiment
 from fmuid.studies import value_kinds as kinds
 from fmuid.studies.section import Settings, StudySection, entry
 from fmuid.units import TIME_UNITS
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from fmuid.data import Experiment
 
 KINDS = ("time", "steady", "frequency")
 OF_TIME = ("time", "time_unit", "sample_rate", "clocks", "interpolation", "warmup", "observation")
@@ -84,8 +81,6 @@ class DataSection(StudySection):
 
     def experiment_of_rows(self, frame: pd.DataFrame, roles: dict[str, Any]) -> Experiment:
         """Return the experiment of a frame without a time."""
-        from fmuid.data import FrequencyExperiment, SteadyExperiment
-
         if self.kind == "frequency":
             own = {name: value for name, value in roles.items() if name not in ("inputs", "outputs")}
             own |= {"frequency": self.frequency, "responses": self.responses, "point": self.point}

@@ -16,7 +16,7 @@ from fmuid.apps.workbench.jobs import Jobs
 from fmuid.apps.workbench.page_layout import own_file, style, template, variables
 from fmuid.apps.workbench.project_folder import Folder, FoundResult, FoundStudy
 from fmuid.errors import InputError
-from fmuid.formatting import listed
+from fmuid.formatting import listed, with_std
 from fmuid.reports.render.html import text as escaped
 
 # Readable files that commands write; models and others are not served.
@@ -107,8 +107,6 @@ def _state(result: FoundResult, study: FoundStudy) -> str:
 
 
 def _values(content: Any) -> str:
-    from fmuid.formatting import with_std
-
     rows = list((content.get("parameters") or {}).items())
     told = [
         f"{escaped(name)} = {escaped(with_std(each['value'], each['std']))}"

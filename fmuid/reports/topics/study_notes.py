@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from fmuid.formatting import listed, two_digits
-from fmuid.identification import TimeScaleMismatch, TimeScaleWarning
+from fmuid.identification import TimeScaleMismatch, TimeScaleWarning, doubt_of_time
 from fmuid.reports.document import Message, Remark, doubt
 from fmuid.runs import ChangeKind, StudyChange
 from fmuid.simulation import AnySimulator, Simulator
@@ -79,8 +79,6 @@ def missing_remark(source: str, column: str, count: int, rows: int) -> Remark:
 
 def time_notes(study: Study, simulators: Sequence[AnySimulator]) -> list[Remark]:
     """Return the data files whose duration does not fit the model."""
-    from fmuid.identification import doubt_of_time
-
     starts = [parameter.start for parameter in study.parameters.values()]
     in_time = [each for each in simulators if isinstance(each, Simulator)]
     found = (doubt_of_time(each, starts) for each in in_time[:5])  # each costs a simulation
