@@ -1,4 +1,4 @@
-"""Keys of ``[[experiments]]`` about the data file, and of experiments without a time."""
+"""Keys of ``[[experiments]]`` about the data file and its kind."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Responses = Annotated[dict[str, Annotated[Response, Settings()]], kinds.Entries(
 
 
 class DataSection(StudySection):
-    """Data file, how it is read, its kind, and what only one kind has."""
+    """Data file, how it is read, and its kind."""
 
     data: kinds.File = entry(..., "data file")
     time: kinds.NameOrPlace = entry("time", "time column, by name or number from 1")
