@@ -80,7 +80,8 @@ def _settle(model: PointModel, theta: Floats, start: Floats) -> SteadyStates:
     step, last = np.full(len(states), np.inf), first
     done, lost = np.zeros((2, len(states)), dtype=np.bool_)
     for _ in range(SETTINGS.most_iterations):
-        moves = _moves(models, models.rates[0], scale, step)
+        system = _ImplicitStep(models, scale, step)
+        moves = system.solve(models.rates[0])
         sizes = _norm(moves / scale)
         newton, small = np.isinf(step), sizes <= SETTINGS.tolerance
         done |= newton & small
@@ -90,8 +91,8 @@ def _settle(model: PointModel, theta: Floats, start: Floats) -> SteadyStates:
             break
         trial = np.where(moving[:, None], states + np.nan_to_num(moves), states)
         others = model.at(trial, thetas)
-        late = others.rates[0] - np.where(newton[:, None], 0.0, moves / np.where(newton, 1.0, step)[:, None])
-        contraction = _norm(_moves(models, late, scale, step) / scale) / np.maximum(sizes, 1e-300)
+        correction = system.solve(others.rates[0] - moves / step[:, None])
+        contraction = _norm(correction / scale) / np.maximum(sizes, 1e-300)
         better = moving & ((contraction <= SETTINGS.contraction) | (small & ~newton))
         change = np.clip(0.5 * SETTINGS.contraction / np.maximum(contraction, 1e-9), *SETTINGS.change)
         longer = np.where(small | (step * change > SETTINGS.longest * first), np.inf, step * change)
@@ -117,31 +118,38 @@ def is_at_rest(models: StateSpace, scale: Floats) -> Flags:
     return np.asarray((np.abs(models.rates) <= SETTINGS.rest * rows).all(axis=(1, 2)))
 
 
-def _moves(models: StateSpace, rates: Floats, scale: Floats, step: Floats) -> Floats:
-    """Return linearly implicit Euler steps (K, n_x); of infinite time, Newton steps."""
-    finite = np.isfinite(step)
-    if not finite.any():
-        return _newton_steps(models, rates, scale)
-    scaled = np.nan_to_num(models.a[0] * scale[:, None] / scale[:, :, None])
-    times = np.where(finite, step, 1.0)[:, None]
-    matrices = np.eye(scale.shape[1]) - times[..., None] * scaled * finite[:, None, None]
-    euler = scale * np.linalg.solve(matrices, (times * np.nan_to_num(rates) / scale)[..., None])[..., 0]
-    return np.where(finite[:, None], euler, _newton_steps(models, rates, scale))
+class _ImplicitStep:
+    """Linearly implicit Euler steps of all rows; of infinite time, Newton steps, the shortest where A is singular."""
+
+    def __init__(self, models: StateSpace, scale: Floats, step: Floats) -> None:
+        scaled = models.a[0] * scale[:, None] / scale[:, :, None]
+        self.scale, self.well = scale, np.isfinite(scaled).all(axis=(1, 2))
+        matrices = np.eye(scale.shape[1]) / step[:, None, None] - np.where(self.well[:, None, None], scaled, 0.0)
+        self.rows = np.abs(matrices).max(axis=2, initial=0.0)
+        self.unit = np.where(self.rows > 0.0, self.rows, 1.0)
+        self.matrices = matrices / self.unit[..., None]
+        self.inverses = _inverses(self.matrices)
+
+    def solve(self, rates: Floats) -> Floats:
+        """Return the steps (K, n_x) for rates; NaN where none reaches them."""
+        well = self.well & np.isfinite(rates).all(axis=1)
+        right = np.where(well[:, None], rates, 0.0) / (self.scale * self.unit)
+        found = (self.inverses @ right[..., None])[..., 0]
+        rest = np.abs((self.matrices @ found[..., None])[..., 0] - right)
+        reached = well & (rest <= np.where(self.rows > 0.0, SETTINGS.rest, 0.0)).all(axis=1)
+        return np.where(reached[:, None], found * self.scale, np.nan)
 
 
-def _newton_steps(models: StateSpace, rates: Floats, scale: Floats) -> Floats:
-    """Return Newton's steps (K, n_x), the shortest where A is singular; NaN where no step makes the rates zero."""
-    scaled = models.a[0] * scale[:, None]
-    rows = np.abs(scaled).max(axis=2)
-    well = np.isfinite(rows).all(axis=1) & np.isfinite(rates).all(axis=1)
-    rows = np.where(well[:, None], rows, 1.0)
-    unit = np.where(rows > 0.0, rows, 1.0)
-    balanced = np.where(well[:, None, None], scaled, 0.0) / unit[..., None]
-    right = np.where(well[:, None], rates, 0.0) / unit
-    found = -(np.linalg.pinv(balanced, rcond=SETTINGS.singular) @ right[..., None])[..., 0]
-    rest = np.abs((balanced @ found[..., None])[..., 0] + right)
-    reached = well & (rest <= np.where(rows > 0.0, SETTINGS.rest, 0.0)).all(axis=1)
-    return np.where(reached[:, None], found * scale, np.nan)
+def _inverses(matrices: Floats) -> Floats:
+    """Return inverses (K, n, n), pseudo-inverses of singular matrices."""
+    try:
+        found = np.linalg.inv(matrices)
+        largest = np.abs(found).max(axis=(1, 2), initial=0.0)
+        singular = ~(largest * SETTINGS.singular < 1.0)
+    except np.linalg.LinAlgError:
+        found, singular = np.empty_like(matrices), np.ones(len(matrices), dtype=np.bool_)
+    found[singular] = np.linalg.pinv(matrices[singular], rcond=SETTINGS.singular)
+    return np.asarray(found)
 
 
 def _chosen(which: Flags, new: StateSpace, old: StateSpace) -> StateSpace:
