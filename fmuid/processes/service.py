@@ -7,6 +7,8 @@ import importlib
 import logging
 import mmap
 import os
+import sys
+from logging.handlers import BufferingHandler
 from operator import attrgetter
 from typing import Any
 
@@ -26,24 +28,14 @@ def shared_memory(size: int) -> mmap.mmap:
     return memory
 
 
-class _Messages(logging.Handler):
-    """Log messages, collected for the ordering process."""
-
-    def __init__(self) -> None:
-        super().__init__(logging.INFO)
-        self.found: list[tuple[str, int, str]] = []
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self.found.append((record.name, record.levelno, record.getMessage()))
-
-
 class Service:
     """Function calls as a socket orders; `memory` is a file descriptor."""
 
     def __init__(self, channel: Channel, memory: int) -> None:
         self._channel = channel
         _shared[:] = [memory]
-        self._messages = _Messages()
+        self._messages = BufferingHandler(sys.maxsize)  # for the ordering process
+        self._messages.setLevel(logging.INFO)
         logger = logging.getLogger("fmuid")
         logger.addHandler(self._messages)
         logger.propagate = False
@@ -61,7 +53,8 @@ class Service:
             if os.getpid() != process:  # a child forked by native code
                 os._exit(os.EX_SOFTWARE)
             self._libc.fflush(None)
-            said, self._messages.found = self._messages.found, []
+            said = [(each.name, each.levelno, each.getMessage()) for each in self._messages.buffer]
+            self._messages.flush()
             try:
                 parts = answer_parts((failed, answer, said))
             except Exception as error:  # a value that cannot be sent

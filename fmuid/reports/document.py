@@ -184,10 +184,6 @@ class Document:
         """Return the section of a key."""
         return next(each for each in self.sections if each.key == key)
 
-    def sections_of(self, keys: Iterable[str]) -> list[Section]:
-        """Return the sections of these keys that there are."""
-        return [each for each in self.sections if each.key in keys]
-
 
 def table_of(columns: Mapping[str, Iterable[str]], words: Iterable[str] = (), ranks: Iterable[str] = ()) -> Table:
     """Return a table; columns are numbers except the first and `words`."""

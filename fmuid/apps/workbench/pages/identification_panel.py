@@ -153,7 +153,7 @@ class IdentificationPanel:
             self.text.text = f"<p class=error>{escaped(error)}</p>"
             return
         said, *drawn = models(
-            [replace(document, sections=tuple(document.sections_of(UNCERTAIN)))],
+            [replace(document, sections=tuple(each for each in document.sections if each.key in UNCERTAIN))],
             self.page.scheme,
         )
         links = ""
