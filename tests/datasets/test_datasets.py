@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 import fmuid
 from fmuid import datasets
-from fmuid.array_types import Floats
-from tools.make_datasets import MACHINE_NOISE, MACHINE_SAMPLES, MACHINE_STEP, SPEED, TABLES
+from tools.make_datasets import TABLES
 
 NAMES = sorted(TABLES)
 
@@ -17,34 +15,6 @@ def test_a_table_is_what_its_script_makes(name: str) -> None:
     """To the rounding of the file alone, six digits: the script's closed forms have no step that adapts."""
     made = TABLES[name]()
     np.testing.assert_allclose(datasets.load(name).table.to_numpy(), made.to_numpy(), rtol=5.1e-6, atol=1e-12)
-
-
-def test_the_machine_obeys_its_equations() -> None:
-    """Integrated by scipy from sample to sample, where the voltages have no kinks; to the error of its steps."""
-    known = datasets.induction_machine()
-    table, p = known.table, known.truth
-    times, inputs = table["time"].to_numpy(), table[["uds", "uqs"]].to_numpy()
-    noise = MACHINE_NOISE * np.random.default_rng(3).standard_normal((2, MACHINE_SAMPLES))
-
-    states = [np.zeros(4)]
-    for begin, own in zip(times[:60], inputs[:60], strict=True):
-        rise = (inputs[len(states)] - own) / MACHINE_STEP
-
-        def rates(t: float, x: Floats, begin: float = begin, own: Floats = own, rise: Floats = rise) -> list[float]:
-            d, q, fd, fq = x
-            ud, uq = own + (t - begin) * rise
-            return [
-                (ud - (p["Rs"] + p["Rr"]) * d + SPEED * p["Lf"] * q + p["Rr"] / p["Lm"] * fd + SPEED * fq) / p["Lf"],
-                (uq - (p["Rs"] + p["Rr"]) * q - SPEED * p["Lf"] * d + p["Rr"] / p["Lm"] * fq - SPEED * fd) / p["Lf"],
-                p["Rr"] * d - p["Rr"] / p["Lm"] * fd,
-                p["Rr"] * q - p["Rr"] / p["Lm"] * fq,
-            ]
-
-        found = solve_ivp(rates, (begin, begin + MACHINE_STEP), states[-1], rtol=1e-9, atol=1e-9)
-        states.append(found.y[:, -1])
-    expected = np.array(states)[:, :2] + noise.T[: len(states)]
-    # the file keeps six digits of up to 12 A, 5e-5 A
-    np.testing.assert_allclose(table[["ids", "iqs"]].to_numpy()[: len(states)], expected, atol=6e-5, rtol=0.0)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -80,7 +80,9 @@ def test_false_alarms_under_each_noise(kind: str, with_records: bool, draws: int
 
 @pytest.mark.parametrize("kind", ["white", "mixture"])
 @pytest.mark.parametrize(
-    ("draws", "least"), [(3, 3), pytest.param(200, 190, marks=pytest.mark.campaign)], ids=["few", "all"]
+    ("draws", "least"),
+    [pytest.param(3, 3, marks=pytest.mark.slow), pytest.param(200, 190, marks=pytest.mark.campaign)],
+    ids=["few", "all"],
 )
 def test_an_alarm_begins_and_ends_with_the_fault(kind: str, draws: int, least: int) -> None:
     begun = ended = named = 0

@@ -34,7 +34,7 @@ def rotor() -> dict[str, fmuid.Fault]:
     return {"rotor": fmuid.Fault(path, sizes, angles=["theta0"])}
 
 
-def experiment(seed: int = 0, count: int = 1200, noise: float = 0.0, **errors: Any) -> fmuid.Experiment:
+def experiment(seed: int = 0, count: int = 600, noise: float = 0.0, **errors: Any) -> fmuid.Experiment:
     sensor, line = errors.pop("sensor", 1.0), errors.pop("line", 1.0)
     frame = record(count, seed=seed, noise=noise, **errors).copy()
     frame["ia"] *= sensor
@@ -42,6 +42,7 @@ def experiment(seed: int = 0, count: int = 1200, noise: float = 0.0, **errors: A
     return fmuid.Experiment(frame, ["w"], observation=STUDY_AXES, name=f"run{seed}")
 
 
+@cache
 def coordinates() -> ChangeParameterSet:
     noise = {"ia": NOISE, "ib": NOISE}
     return coordinates_of(system(), NOMINAL, rotor(), experiment(), noise, Causes())
@@ -83,9 +84,9 @@ def test_columns_are_what_the_windings_show(name: str, size: float, errors: dict
     ],
 )
 def test_sensors_and_lines_are_no_fault(cause: str, errors: dict[str, Any]) -> None:
-    healthy = [experiment(seed, noise=NOISE) for seed in (1, 2, 3)]
+    healthy = [experiment(seed, 1200, NOISE) for seed in (1, 2, 3)]
     baseline = fmuid.Baseline(fmuid.identify(fmuid.Problem(system(), healthy, NOMINAL)), records=healthy)
-    found = fmuid.diagnose(experiment(4, noise=NOISE, **errors), baseline, rotor(), system())
+    found = fmuid.diagnose(experiment(4, 1200, NOISE, **errors), baseline, rotor(), system())
     assert found.kind == "other"
     assert [each.label for each in found.evidence.explanations[0].changes] == [cause]
 
@@ -93,13 +94,13 @@ def test_sensors_and_lines_are_no_fault(cause: str, errors: dict[str, Any]) -> N
 def test_derivatives_include_the_change_of_the_drops() -> None:
     """At a joint, dead time and supply error: differences of whole fixed points."""
     made = coordinates()
-    machine = LinearizedMachine(system(), {}, made, experiment(count=600))
+    machine = LinearizedMachine(system(), {}, made, experiment())
     point, names = made.healthy.copy(), [each.name for each in made.each]
     for name, size in {"joint(b)": 0.9, "dead time": 2.0, "input gain(uc)": 0.02, "input gain(w)": 0.01}.items():
         point[names.index(name)] = size
     outputs, columns = machine.linearize(point)
     np.testing.assert_array_equal(outputs, machine.outputs(point))
-    plain = LinearizedMachine(system(), {}, made, experiment(count=600))
+    plain = LinearizedMachine(system(), {}, made, experiment())
     for name in ("Rs", "Lf", "joint(a)", "dead time", "input gain(uc)", "input gain(w)"):
         i = names.index(name)
         low, high = (plain.outputs(point + side * made.each[i].step * np.eye(point.size)[i]) for side in (-1, 1))

@@ -17,7 +17,7 @@ import fmuid
 from fmuid import InputError, Marquardt, Noise, Normal, Parameter, Result
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
-from fmuid.estimation import LeastSquares, TerminationReason, linear_least_squares
+from fmuid.estimation import TerminationReason
 from fmuid.estimation import local_search as estimation
 from fmuid.events import Event, SearchStep
 from fmuid.identification import identify
@@ -99,20 +99,6 @@ def test_given_variances_are_used_as_they_are() -> None:
     # the variances are known, their correlation is not
     np.testing.assert_allclose(width, 2.0 * stats.t.ppf(0.975, given.estimates.variance_dof) * given.std, rtol=1e-6)
     assert (given.estimates.variance_dof > free.estimates.variance_dof).all()
-
-
-def test_optimum_of_prior_and_data() -> None:
-    """On a linear model θ_C = [M₀⁻¹ + P⁻¹]⁻¹ (M₀⁻¹ θ₀ + P⁻¹ θ_opt), section 7, with its covariance."""
-    phi = np.column_stack([np.ones(60), np.linspace(0.0, 1.0, 60)])
-    y = phi @ [1.0, 2.0] + 0.2 * np.random.default_rng(8).standard_normal(60)
-    parameters = {"a": Parameter(2.0, prior=Normal(0.9, 0.02)), "b": Parameter(1.0, prior=Normal(2.6, 0.1))}
-    result = identify(LeastSquares.from_function(lambda theta: phi @ theta, y, parameters, noise=Noise(0.04)))
-    data = linear_least_squares(phi, y)
-    precision, prior = phi.T @ phi / 0.04, np.diag([1 / 0.02**2, 1 / 0.1**2])
-    expected = np.linalg.solve(prior + precision, prior @ [0.9, 2.6] + precision @ data.values)
-    np.testing.assert_allclose(result.values, expected, rtol=1e-6)
-    np.testing.assert_allclose(result.estimates.covariance_white_noise, np.linalg.inv(prior + precision), rtol=1e-6)
-    np.testing.assert_allclose(result.estimates.prior_z_score, (expected - [0.9, 2.6]) / [0.02, 0.1], rtol=1e-4)
 
 
 def test_an_interrupted_search_keeps_its_best_point() -> None:

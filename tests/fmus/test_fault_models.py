@@ -145,7 +145,10 @@ def test_leaking_turns_settle_at_those_without_leakage(frame: pd.DataFrame) -> N
     assert abs(found[2] - expected[2]).max() > 0.01 * abs(expected[2]).max()
 
 
-@pytest.mark.parametrize(("turns", "own"), [(0.02, 0.3), (0.1, 0.05), (0.3, 0.4)])
+@pytest.mark.parametrize(
+    ("turns", "own"),
+    [(0.1, 0.05), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((0.02, 0.3), (0.3, 0.4)))],
+)
 def test_leaking_turns_are_those_of_a_machine_in_its_windings(turns: float, own: float) -> None:
     """Beside the machine, at varying speed; phase b, from the same contact."""
     (table,) = tables([excitation(500, 5)], [Condition(turns=turns, phase=1, own=own)], 0.0, 1)

@@ -14,7 +14,7 @@ from tests.support.shipped_instances import Opener, points, relative_error
 from tests.support.shipped_models import FLUXES, MACHINE, PHASES, REFERENCES, TOLERANCE, models, park_machine
 
 
-@pytest.mark.parametrize("linear", [True, False], ids=["linear", "held"])
+@pytest.mark.parametrize("linear", [True, pytest.param(False, marks=pytest.mark.slow)], ids=["linear", "held"])
 @models
 def test_co_simulation_follows_the_equations(opened: Opener, model: str, linear: bool) -> None:
     reference = REFERENCES[model]

@@ -71,6 +71,7 @@ def test_estimates_are_those_with_the_delay_as_parameters() -> None:
     assert (np.abs(result.values - alone.values - step[:2]) < 0.05 * result.std).all()
 
 
+@pytest.mark.slow
 def test_profiles_and_samples_include_the_delay() -> None:
     problem = record(2, 0.5)
     result = fmuid.identify(problem)

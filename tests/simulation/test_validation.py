@@ -139,6 +139,7 @@ def in_this_process(target: Path, fmu: fmuid.FMU, kind: str, share: float) -> In
     return InterfaceTest(share, smoke.attempt(fmu.path, kind, share, target))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="links as Linux does")
 def test_a_shared_library_that_is_missing(probe: ProbeMaker, tmp_path: Path) -> None:
     (tmp_path / "absent.c").write_text("int absent(void) { return 1; }", encoding="utf-8")

@@ -100,6 +100,7 @@ def test_what_the_fmu_prints_goes_to_its_log(tmp_path: Path, fmu: Path, capfd: p
     assert "the FMU says on" in (tmp_path / "results/fmu.log").read_text()
 
 
+@pytest.mark.slow
 def test_a_command_can_run_the_fmu_in_its_own_process(tmp_path: Path, fmu: Path) -> None:
     """Which then has the fate of the FMU's: that it does crash is what makes the tests of isolation show something."""
     study = write_study(tmp_path, fmu, Mode.ABORT)

@@ -97,7 +97,6 @@ def test_rows_are_the_same_bit_for_bit_in_any_order(case_folder: Path) -> None:
         "monte_carlo": {"realizations": 2, "std": STD, "true_values": {"R": R, "L": L}},
         "data": ["records/run1.csv", "records/run2.csv"],
         "free_parameters": [["R"], ["R", "L"]],
-        "starting_points": 2,
     }
     first, second = (CaseRunner(study_of(case_folder, batch, model=EXCHANGE)) for _ in range(2))
     forward = [bits(first(k).row) for k in range(len(first.cases))]
