@@ -5,7 +5,6 @@ from decimal import Context, Decimal
 from pathlib import Path
 from types import ModuleType
 
-import numpy as np
 import pandas as pd
 import pytest
 from scipy import stats
@@ -14,22 +13,6 @@ from experiments import calls, pages
 from experiments.coil import calls as coil
 from experiments.machine_faults import calls as machine
 from experiments.machine_faults import detectable, neighbours
-
-
-@pytest.mark.slow
-def test_columns_in_phases_are_differences() -> None:
-    """Of what sensors and supply do to the readings, and of the faults, in the stator's axes."""
-    setting = machine.setting()
-    model, point = setting.machine("white noise", False), setting.coordinates.healthy.copy()
-    names = [each.name for each in setting.coordinates.each]
-    point[names.index("gain(ia)")] = 0.02
-    point[names.index("stator.fault.eta_b")] = 0.004
-    _, columns = model.linearize(point)
-    for name, step in (("Rs", 0.02), ("stator.fault.eta_a", 1e-4), ("input gain(uc)", 1e-3), ("delay(ia)", 1e-5)):
-        i = names.index(name)
-        ends = [model.linearize(point + sign * step * np.eye(point.size)[i])[0] for sign in (1.0, -1.0)]
-        slope = (ends[0] - ends[1]) / (2.0 * step)
-        assert np.abs(columns[:, :, i] - slope).max() < 2e-3 * np.abs(slope).max(), name
 
 
 def test_rates_have_their_exact_intervals() -> None:

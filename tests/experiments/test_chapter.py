@@ -33,28 +33,10 @@ def committed() -> np.ndarray:
     return rows.reshape(len(rows), len(chapter.KINDS), -1)
 
 
-def test_the_prior_study_gives_the_same_estimates(pair: dict[str, fmuid.Result]) -> None:
-    result = fmuid.Study.read(chapter.HERE / "study_prior.toml").identify()
-    assert result.converged
-    assert (np.abs(result.values - pair["with prior"].values) < 0.01 * result.std).all()
-    assert result.std == pytest.approx(pair["with prior"].std, rel=1e-3)
-
-
 def check_both_are_nearest(errors: np.ndarray) -> None:
     means = chapter.root_mean_squares(errors)
     assert (means.loc["both"] < means.loc["prior alone"]).all()
     assert (means.loc["both"] < means.loc["data alone"]).all()
-
-
-@pytest.mark.slow
-def test_prior_and_data_together_are_nearer_to_the_truth_than_either(
-    clean: pd.DataFrame, pair: dict[str, fmuid.Result]
-) -> None:
-    errors = chapter.draws(clean, 40, seed=2)
-    check_both_are_nearest(errors)
-    # and as near as the covariance says: 160 squares, whose mean is known within 11 % (22 % for strong correlations)
-    squares = np.mean((errors[:, 2] * chapter.PRIOR_STD / pair["with prior"].std) ** 2)
-    assert squares == pytest.approx(1.0, abs=0.4)
 
 
 def test_the_committed_draws_are_these(clean: pd.DataFrame, committed: np.ndarray) -> None:

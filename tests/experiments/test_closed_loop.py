@@ -4,7 +4,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import fmuid
 from experiments.closed_loop_bias import study
 
 OPEN, WHITE, COLORED, WHOLE = study.KINDS
@@ -13,26 +12,6 @@ OPEN, WHITE, COLORED, WHOLE = study.KINDS
 @pytest.fixture(scope="module")
 def committed() -> pd.DataFrame:
     return pd.read_csv(study.HERE / "bias.csv")
-
-
-def test_the_noise_is_stationary_and_as_correlated_as_it_says() -> None:
-    rng = np.random.default_rng(5)
-    drawn = np.array([study.noise(rng, study.COLOR) for _ in range(400)])
-    for lag in (0, 1, 5):
-        products = drawn[:, lag:] * drawn[:, : study.SAMPLES - lag]
-        assert products.mean() == pytest.approx(study.COLOR**lag, abs=0.02)
-    assert drawn[:, 0].var() == pytest.approx(1.0, abs=4 * np.sqrt(2 / 400))
-
-
-def test_sensitivities_are_those_of_the_model() -> None:
-    """Against central differences of the FMU."""
-    record = study.simulate(np.zeros(study.SAMPLES))
-    experiment = fmuid.Experiment(record, ["u"], ["i"], interpolation="zoh")
-    simulator = fmuid.Simulator(study.coil(), experiment, study.NAMES)
-    found = study.sensitivities(record["u"].to_numpy())
-    for k, step in enumerate(1e-4 * np.diag(study.TRUTH)):
-        difference = (simulator(study.TRUTH + step) - simulator(study.TRUTH - step)) / (2 * step[k])
-        np.testing.assert_allclose(found[:, k], difference[:, 0], rtol=0, atol=1e-6 * np.abs(difference).max())
 
 
 def test_only_colored_noise_in_closed_loop_makes_a_bias(committed: pd.DataFrame) -> None:

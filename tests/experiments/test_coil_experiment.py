@@ -36,14 +36,6 @@ def test_the_data_are_the_exact_response_to_a_held_voltage() -> None:
     assert set(study.voltage()) == {-1.0, 1.0}
 
 
-def test_sensitivities_of_the_fault_lie_in_the_plane_of_the_others() -> None:
-    """∂i/∂ΔR = ∂i/∂R + 2τ ∂i/∂L, by differences of the closed form."""
-    step = 1e-5
-    ends = [study.current(study.R + d, study.L + 2 * study.TAU * d) for d in (step, -step)]
-    own = study.sensitivities(study.R, study.L)
-    assert (ends[0] - ends[1]) / (2 * step) == pytest.approx(own @ [1.0, 2 * study.TAU], abs=1e-7)
-
-
 def test_table_1_1(single: dict[int, fmuid.Diagnosis]) -> None:
     for number, case in study.TESTS.items():
         size = single[number]["turns.dR"]

@@ -1,7 +1,6 @@
 """The machine in its windings that makes the tables of machine faults, and what is found in some of them."""
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,10 +9,9 @@ import pandas as pd
 import pytest
 
 import fmuid
-from experiments.machine_faults import machine, make_tables, models, onsets, study
+from experiments.machine_faults import machine, make_tables, models, study
 from experiments.machine_faults.machine import BARS, COILS, TRUTH, TURNS, Condition
 from fmuid.data.signals import T23
-from tests.support.running import run_study
 
 Array = npt.NDArray[np.floating]
 
@@ -120,18 +118,6 @@ def test_the_integration_is_precise(condition: Condition) -> None:
     assert np.abs(fine[:, 4:]).max() > 5.0
 
 
-def test_tables_are_the_chapter_s_experiment() -> None:
-    table = make_tables.table("healthy", seed=3)
-    assert list(table.columns) == ["time", "uds", "uqs", "w", "theta", "ids", "iqs"]
-    np.testing.assert_allclose(table["time"], np.arange(4500) * 0.7e-3, rtol=1e-12)
-    noise = (table - make_tables.simulate(Condition()))[["ids", "iqs"]].to_numpy()
-    assert noise.var() == pytest.approx(0.0462, abs=4 * 0.0462 * np.sqrt(2 / 9000))
-    rpm = table["w"] / machine.POLE_PAIRS / machine.RPM
-    assert rpm.between(610, 890).all()
-    torque = machine.LOAD * machine.SPEED  # full load: the rated torque of 1.1 kW at some 1450 rpm
-    assert torque == pytest.approx(1100 / (1450 * machine.RPM), rel=0.05)
-
-
 # ---- what is found
 
 
@@ -165,22 +151,6 @@ def test_the_fault_is_found(drawn: Callable[[str], dict[str, Any]], case: str, v
     assert [row["Rs"], row["Rr"]] == pytest.approx(resistances, rel=0.03)
 
 
-@pytest.mark.slow
-def test_the_study_names_the_phase(tmp_path: Path) -> None:
-    """The page's study files, with the sensors of five turns of phase b."""
-    folder = tmp_path / "experiments" / "machine_faults"
-    (folder / "tables").mkdir(parents=True)
-    for case in ("healthy", "stator_b5"):
-        make_tables.sensor_table(case).to_csv(folder / "tables" / f"{case}.csv", index=False)
-    for name in ("healthy", "study"):
-        text = study.HERE.joinpath(f"{name}.toml").read_text(encoding="utf-8")
-        (folder / f"{name}.toml").write_text(text.replace("../../fmus", models.FMUS.as_posix()), encoding="utf-8")
-    run_study(folder / "healthy.toml", folder / "results" / "healthy")
-    found = fmuid.Study.read(folder / "study.toml").diagnose()
-    assert study.verdict(found) == "stator b"
-    assert found["stator.fault.eta_b"].value * TURNS == pytest.approx(5.0, abs=3.0)
-
-
 def test_a_short_circuit_comes_without_a_jump() -> None:
     """Until then it is the healthy drive; then its currents go on, and become those of one that has always had it."""
     references, step = np.full(1500, machine.SPEED), make_tables.SAMPLE_TIME
@@ -193,20 +163,3 @@ def test_a_short_circuit_comes_without_a_jump() -> None:
     for columns in ([0, 1], [4, 5]):
         one, other = (np.linalg.norm(each[late][:, columns], axis=1) for each in (found, always))
         assert one.mean() == pytest.approx(other.mean(), rel=2e-3)
-
-
-@pytest.mark.slow
-def test_a_short_circuit_is_dated_at_once() -> None:
-    """Its current needs no state of the fault model, while the healthy parameters' columns build up slowly."""
-    rng = np.random.default_rng(3)
-    found = onsets.watched(onsets.record(10, 1, 3500, rng, 6000), rng)
-    assert found._against is not None
-    names = [each.name for each in found._against.coordinates.each]
-    slow = dict(zip(names, found._now.watch.slow.tolist(), strict=True))
-    assert not any(slow[f"stator.fault.eta_{phase}"] for phase in "abc")
-    assert all(slow[name] for name in ("Rr", "Lm", "rotor.eta0"))
-    (alarm,) = found.alarms
-    assert alarm.onset is not None
-    assert alarm.explanations[0].changes[0].label == "stator.fault.eta_b"
-    assert alarm.onset.likely.time == pytest.approx(3500 * make_tables.SAMPLE_TIME, abs=2 * onsets.BLOCK)
-    assert alarm.onset.first.time <= 3500 * make_tables.SAMPLE_TIME <= alarm.onset.last.time

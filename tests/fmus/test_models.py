@@ -27,19 +27,6 @@ def test_co_simulation_follows_the_equations(opened: Opener, model: str, linear:
     assert np.all(np.ptp(found, axis=0) > 0)
 
 
-def test_coil_against_its_closed_form(opened: Opener) -> None:
-    """i(t) = A + B t + (i0 - A) exp(-R t/L) for u = u0 + a t, with B = a/R and A = (u0 - L B)/R."""
-    R, L, i0, u0, a = 3.3, 0.08, -0.4, 1.7, -23.0
-    t = np.linspace(0, 0.1, 101)
-    B = a / R
-    A = (u0 - L * B) / R
-    expected = A + B * t + (i0 - A) * np.exp(-R / L * t)
-    instance = opened("Coil")
-    instance.initialize({"R": R, "L": L, "i_start": i0})
-    found = instance.follow(REFERENCES["Coil"], t, (u0 + a * t)[:, None], linear=True)
-    assert relative_error(found, expected[:, None]) < 1e-10
-
-
 def test_induction_machine_at_constant_speed_against_its_matrix_exponential(opened: Opener) -> None:
     """One substep a sample of 0.7 ms, the method's own, over 3 s."""
     p, w, h, count = REFERENCES["InductionMachine"].parameters, 157.0, 7e-4, 4300
