@@ -197,7 +197,8 @@ def _(folder: Path) -> None:
 @row("a long recording, of which two segments are useful")
 def _(folder: Path) -> None:
     found = studied(written(folder), more=PREPROCESS + "segments = [[0.005, 0.02], [0.031, 0.04]]")
-    assert [(each.times[0], each.times[-1]) for each in found] == [(0.005, 0.02), (0.031, 0.04)]
+    ends = [(each.name, each.times[0], each.times[-1]) for each in found]
+    assert ends == [("run 1", 0.005, 0.02), ("run 2", 0.031, 0.04)]
 
 
 @row("a digital controller that holds the voltage")

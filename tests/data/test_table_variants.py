@@ -85,6 +85,23 @@ def test_times_of_the_day_go_on_past_midnight(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_data(tmp_path / "a.csv")["time"], np.multiply(minutes, 60.0))
 
 
+@pytest.mark.parametrize(("day", "offsets"), [("2026-10-25", (120, 60)), ("2026-03-29", (60, 120))])
+def test_dates_over_a_change_of_clocks(tmp_path: Path, day: str, offsets: tuple[int, int]) -> None:
+    """With their offsets they are read; without, the hour that is there twice is no matter of sorting."""
+    utc = pd.Timestamp(f"{day} 00:00") + pd.to_timedelta(np.arange(0, 120, 20), unit="min")
+    shifts = [offsets[k >= 3] for k in range(6)]
+    local = [(each + pd.Timedelta(minutes=shift)).isoformat() for each, shift in zip(utc, shifts, strict=True)]
+    path = tmp_path / "a.csv"
+    path.write_text("time,u\n" + "".join(f"{a}+0{b // 60}:00,1\n" for a, b in zip(local, shifts, strict=True)))
+    frame = read_data(path)
+    np.testing.assert_array_equal(frame["time"], 1200.0 * np.arange(6))
+    assert frame.attrs["begin"].isoformat() == f"{local[0]}+0{shifts[0] // 60}:00"
+    path.write_text("time,u\n" + "".join(f"{each},1\n" for each in local))
+    if offsets[1] < offsets[0]:
+        with pytest.raises(InputError, match=r"goes back by an hour in row 4 .*02:00:00.*UTC"):
+            read_data(path)
+
+
 @pytest.mark.parametrize(
     ("module", "name", "extra"),
     [

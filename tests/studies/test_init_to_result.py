@@ -88,10 +88,13 @@ def reactor(folder: Path) -> tuple[Path, dict[str, float]]:
 
 
 @pytest.mark.parametrize("case", [coil, pytest.param(reactor, marks=pytest.mark.slow)])
-def test_no_edit_between(case: Callable[[Path], tuple[Path, dict[str, float]]], tmp_path: Path) -> None:
+def test_no_edit_between(
+    case: Callable[[Path], tuple[Path, dict[str, float]]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     fmu, truth = case(tmp_path)
     study = tmp_path / "study.toml"
     assert fmuid_("init", fmu, tmp_path / "bench.csv", "--output", study) == DONE
+    assert "Next: fmuid identify " in capsys.readouterr().out
     assert fmuid_("identify", study, "--output", tmp_path / "results") == DONE
     found = result(tmp_path / "results")["parameters"]
     assert not {"_nle_tolerance", "i", "w", "X", "S"} & set(found)

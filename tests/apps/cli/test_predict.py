@@ -71,6 +71,24 @@ def test_the_record_of_the_result_is_no_prediction(
     assert rmse**2 == pytest.approx(identified["fit"]["noise_variance"]["i"] * 598 / 600, rel=1e-3)
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("drawn_figures")
+def test_folds(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    several = [
+        f'{{data="{name}.csv", inputs=["u"], outputs=["i"], interpolation="zoh"}}' for name in ("first", "second")
+    ]
+    with_both = ("--set", f"experiments=[{', '.join(several)}]", "--refit", "i_start")
+    code = fmuid_("predict", made / "results", "--folds", "2", *with_both, "-o", tmp_path, "--no-isolation")
+    assert code == DONE
+    out = capsys.readouterr().out
+    assert "Cross-validation" in " ".join(out.split())
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    for part in ("Predicted: first", "Predicted: second", "Cross-validation", "second: i predicted"):
+        assert part in page
+    folds = json.loads((tmp_path / "prediction.json").read_text())["folds"]
+    assert [fold["left_out"] for fold in folds] == [["first"], ["second"]]
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -1,5 +1,6 @@
 """Cases in groups over workers, of which some end, and in processes of their own."""
 
+import logging
 import sys
 import tempfile
 from pathlib import Path
@@ -20,6 +21,16 @@ from tests.support.coil_cases import bits
 from tests.support.misbehaving import Mode, Where, misbehaving_fmu
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
+
+
+def test_the_inside_of_dask_is_quiet() -> None:
+    """Also by loggers that have levels of their own."""
+    names = ("distributed", "distributed.client", "distributed.core", "tornado.application")
+    loggers = [logging.getLogger(name) for name in names]
+    before = [logger.level for logger in loggers]
+    with cluster._quiet():
+        assert not any(logger.isEnabledFor(logging.CRITICAL) for logger in loggers)
+    assert [logger.level for logger in loggers] == before
 
 
 def test_a_case_that_ends_its_workers_is_given_up(folder: Path, here: Any) -> None:
