@@ -11,7 +11,6 @@ import hmac
 import secrets
 from collections.abc import Mapping, Sequence
 from html import escape
-from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qsl, urlencode
 
@@ -82,8 +81,8 @@ class Guard(BokehTornado):  # type: ignore[misc]
         given = request.arguments.get("token", [b""])[-1]
         if request.method == "GET" and given and self._accept(given):
             return self.get_handler_delegate(request, LoginHandler, {"secret": self._secret, "name": self._cookie})
-        cookies, site = _cookies(request), request.headers.get("Sec-Fetch-Site", "none")
-        if site not in ("none", "same-origin"):
+        cookies = {name: each.value for name, each in request.cookies.items()}
+        if request.headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin"):
             return self._refuse(request)
         if not hmac.compare_digest(cookies.get(self._cookie, "").encode(), self._secret.encode()):
             return self._refuse(request)
@@ -159,15 +158,6 @@ _REDIRECTING = (
 def redirecting_page(address: str) -> str:
     """Return an HTML page that leads to another address."""
     return _REDIRECTING.format(escape(address))
-
-
-def _cookies(request: HTTPServerRequest) -> dict[str, str]:
-    """Return the cookies of a request, none if one is invalid."""
-    try:
-        found = SimpleCookie(request.headers.get("Cookie", ""))
-    except CookieError:
-        return {}
-    return {name: morsel.value for name, morsel in found.items()}
 
 
 def _policy(hosts: Sequence[str]) -> str:
