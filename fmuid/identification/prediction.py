@@ -17,6 +17,7 @@ from typing import ClassVar
 
 import numpy as np
 import pandas as pd
+from scipy import special
 
 from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
@@ -46,6 +47,17 @@ LARGEST_STEP = 1e-2  # of differences, relative to the magnitude; smaller σ are
 
 
 @dataclass(frozen=True)
+class PredictionSettings:
+    """Limits of a prediction that is as expected."""
+
+    ratio: float = 1.25  # RMS error in σ: more is an error of the model ...
+    level: float = 0.01  # ... unless chance brings it in so few samples
+
+
+SETTINGS = PredictionSettings()
+
+
+@dataclass(frozen=True)
 class OutputScore:
     """Quality of the prediction of one output, over the counted samples.
 
@@ -60,6 +72,8 @@ class OutputScore:
         NRMSE fit, %; NaN where the measured output is constant.
     expected : float
         RMSE expected from noise and covariance; NaN where the noise is unknown.
+    ratio : float
+        RMS of the errors in their expected σ, about 1 for a valid model; NaN where the noise is unknown.
     inside : float
         Share of the samples in the band; NaN without band.
     """
@@ -71,14 +85,16 @@ class OutputScore:
     mean: float
     fit: float
     expected: float
+    ratio: float
     inside: float
 
-    json_layout: ClassVar = Layout(derived=("ratio",))
+    json_layout: ClassVar = Layout(derived=("is_worse",))
 
     @property
-    def ratio(self) -> float:
-        """`rmse` over `expected`, about 1 for a valid model."""
-        return self.rmse / self.expected if self.expected > 0 else math.nan
+    def is_worse(self) -> bool:
+        """True if the errors are larger than expected."""
+        by_chance = float(special.chdtri(self.samples, SETTINGS.level)) / self.samples
+        return self.ratio > math.sqrt(max(SETTINGS.ratio**2, by_chance))
 
 
 @dataclass(frozen=True, eq=False)
@@ -344,5 +360,6 @@ def _score(fit: OutputFit, j: int, variance: Floats, half: Floats) -> OutputScor
         float(error.mean()),
         fit.fit[j],
         math.sqrt(float(variance[counted].mean())) if known else math.nan,
+        math.sqrt(float((error**2 / variance[counted]).mean())) if known and variance[counted].all() else math.nan,
         float((np.abs(error) <= half[counted]).mean()) if known else math.nan,
     )

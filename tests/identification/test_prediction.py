@@ -12,7 +12,8 @@ from scipy.signal import lfilter
 from fmuid import Experiment, InputError, Parameter, Problem, Result, SimulationError, Simulator
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
-from fmuid.identification import identify, predict_by_model, prediction
+from fmuid.data import FrequencyExperiment, Response
+from fmuid.identification import OutputScore, identify, predict_by_model, prediction
 from fmuid.simulation.observed import Simulations
 from tests.support.paths import FMUS
 from tests.support.results import changed
@@ -147,3 +148,33 @@ def test_another_model_is_refused(result: Result) -> None:
         predict_by_model(COIL, result, record(5), level=1.0)
     with pytest.raises(SimulationError):
         predict_by_model(COIL, changed(result, values=np.array([R, 0.0])), record(5))
+
+
+@pytest.mark.parametrize(
+    ("samples", "ratio", "is_worse"), [(6, 1.6, False), (6, 1.7, True), (600, 1.2, False), (600, 1.3, True)]
+)
+def test_a_few_samples_are_worse_than_expected_beyond_chance(samples: int, ratio: float, is_worse: bool) -> None:
+    """Of 6 samples, 1 % have √(χ²/6) above 1.674."""
+    assert OutputScore("i", "A", samples, ratio, 0.0, 90.0, 1.0, ratio, 0.9).is_worse is is_worse
+
+
+def test_errors_count_in_their_own_noise() -> None:
+    """A spectrum has noise in proportion to its magnitude: the ratio is that of relative errors."""
+    rows = np.logspace(-1.0, 2.0, 31)
+    random = np.random.default_rng(1)
+    noise = 0.002 * (random.normal(size=(2, 31)) + 1j * random.normal(size=(2, 31)))
+    parts = (4.0 + 0.2j * np.pi * rows) * (1.0 + noise)
+    made = [
+        FrequencyExperiment(
+            pd.DataFrame({"f": rows, "re": each.real, "im": each.imag}),
+            frequency="f",
+            responses={"Z": Response("u / i", real="re", imaginary="im")},
+        )
+        for each in parts
+    ]
+    free = {"R": Parameter(3.0, min=0.1), "L": Parameter(0.2, min=0.01)}
+    result = identify(Problem(COIL, made[0], free))
+    score, _ = predict_by_model(COIL, result, made[1]).scores
+    relative = (parts[1].real - 4.0) / (0.002 * np.abs(parts[1]))
+    assert score.ratio == pytest.approx(np.sqrt(np.mean(relative**2)), rel=0.25)
+    assert not score.is_worse

@@ -1,6 +1,7 @@
 """Messages on comparisons and predictions, and the conditions that give them."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from fmuid.estimation import TerminationReason
+from fmuid.identification import OutputScore
 from fmuid.identification.model_comparison import LikelihoodRatioTest
 from fmuid.reports.document import Remark
 from fmuid.reports.topics.model_comparison import comparison_remarks
@@ -53,8 +55,8 @@ def test_comparison_on_common_data() -> None:
 
 def prediction(ratio: float, **more: Any) -> Any:
     expected = 0.2 / ratio if ratio > 0 else math.nan
-    score = {"output": "i", "fit": 93.5, "rmse": 0.2, "unit": "A", "expected": expected, "ratio": ratio}
-    own = {"scores": [SimpleNamespace(**score, inside=0.94, samples=50)], "undetermined": (), "estimated": None}
+    score = OutputScore("i", "A", 50, 0.2, 0.0, 93.5, expected, ratio, 0.94)
+    own = {"scores": [score], "undetermined": (), "estimated": None}
     fit = SimpleNamespace(experiment="run", outputs=("i",), units=("A",))
     return SimpleNamespace(fit=fit, level=0.95, residuals=None, **own | more)
 
@@ -67,7 +69,7 @@ def test_prediction_against_its_expected_size(monkeypatch: pytest.MonkeyPatch) -
     worse, _ = prediction_remarks(prediction(2.0))
     assert worse.text.startswith("run: i predicted 2 × worse than expected") and worse.tone == "doubt" and worse.remedy
     constant = prediction(math.nan)
-    constant.scores[0].fit = math.nan
+    constant.scores = [replace(constant.scores[0], fit=math.nan)]
     (unknown,) = prediction_remarks(constant)
     assert keys([unknown]) == ["OPEN"]
     assert "RMSE 0.2 A; constant" in unknown.text

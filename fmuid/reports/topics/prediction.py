@@ -26,8 +26,6 @@ from fmuid.reports.topics.residual_analysis import residual_remarks, residual_se
 from fmuid.reports.topics.study_notes import source_remark
 from fmuid.runs import PredictionRun
 
-MAX_RATIO = 1.25
-"""RMSE over expected RMSE; a larger ratio is an error of the model."""
 CAPTION = (
     "Dots: measured. Line: simulated with the values of the result. Below: residual. The band is where a new "
     "measurement is expected, from noise and uncertainty of the parameters."
@@ -45,7 +43,7 @@ class PredictionMessage(Message, section="prediction"):
     AS_EXPECTED = plain("{record}: {output} predicted as expected ({size}).")
     WORSE = doubt(
         "{record}: {output} predicted {times} × worse than expected ({size}).",
-        "RMSE above 1.25 × its expected value: model error, or a changed machine",
+        "errors above 1.25 σ, and more than chance: model error, or a changed machine",
         "Compare the residual with the inputs, or estimate with both data files.",
     )
     COVERAGE = plain("{record}: {inside} of {samples} samples of {output} are in the {level} band.")
@@ -64,7 +62,7 @@ def prediction_document(found: PredictionRun) -> Document:
     """Return the document of predictions."""
     predictions = found.predictions
     ratios = [score.ratio for each in predictions for score in each.scores if math.isfinite(score.ratio)]
-    good = all(ratio <= MAX_RATIO for ratio in ratios)
+    good = not any(score.is_worse for each in predictions for score in each.scores)
     seen = bool(found.seen)
     state = "no validation" if seen else "predicted" if not ratios else "as expected" if good else "worse than expected"
     tone: Tone = "good" if good and not seen else "bad"
@@ -115,7 +113,7 @@ def _score_remarks(found: Prediction, score: OutputScore) -> Iterator[Remark]:
     if math.isnan(score.expected):
         yield PredictionMessage.OPEN.said(**given, size=size)
         return
-    if score.ratio <= MAX_RATIO:
+    if not score.is_worse:
         yield PredictionMessage.AS_EXPECTED.said(**given, size=size)
     else:
         size += f", expected {with_unit(score.expected, score.unit)}"
@@ -126,12 +124,12 @@ def _score_remarks(found: Prediction, score: OutputScore) -> Iterator[Remark]:
 
 def fold_remark(predictions: Sequence[Prediction]) -> Remark:
     """Return the verdict of a cross-validation."""
-    ratios = [score.ratio for found in predictions for score in found.scores if not math.isnan(score.ratio)]
-    if not ratios:
+    known = [score for found in predictions for score in found.scores if not math.isnan(score.ratio)]
+    if not known:
         return PredictionMessage.FOLDS_OPEN.said()
-    worst = max(ratios)
-    how = PredictionMessage.FOLDS if worst <= MAX_RATIO else PredictionMessage.FOLDS_WORSE
-    return how.said(times=two_digits(worst))
+    is_worse = any(score.is_worse for score in known)
+    how = PredictionMessage.FOLDS_WORSE if is_worse else PredictionMessage.FOLDS
+    return how.said(times=two_digits(max(score.ratio for score in known)))
 
 
 def _scores(predictions: Sequence[Prediction]) -> Table:
