@@ -40,8 +40,7 @@ class LinearMessage(Message):
         "of estimates by `fmuid.estimation.instrumental_variables`",
     )
     UNSETTLED = plain(
-        "not converged: instruments still change after {rounds} rounds",
-        remedy="Improve the initial guess.",
+        "not converged: instruments still change after {rounds} rounds", remedy="Improve the initial guess."
     )
 
 

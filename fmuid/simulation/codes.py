@@ -71,10 +71,7 @@ _OWN = {
         GET_DERIVATIVES: "GetContinuousStateDerivatives",
     },
 }
-_TYPES = {
-    2: {FLOAT64: "Real", INT32: "Integer", BOOLEAN: "Boolean", STRING: "String"},
-    3: dict(enumerate(WIRES)),
-}
+_TYPES = {2: {FLOAT64: "Real", INT32: "Integer", BOOLEAN: "Boolean", STRING: "String"}, 3: dict(enumerate(WIRES))}
 
 # The flags of cvode/cvode.h that an FMU can cause.
 _CVODE_WORDS = {
@@ -96,12 +93,7 @@ def function_name(version: int, code: int) -> str | None:
 
 
 def describe(
-    failure: int,
-    status: int,
-    version: int,
-    integrator: str = "",
-    state: str = "",
-    at: tuple[float, float] = (0, 0),
+    failure: int, status: int, version: int, integrator: str = "", state: str = "", at: tuple[float, float] = (0, 0)
 ) -> str:
     """Describe a failure, with its remedy if known.
 

@@ -56,8 +56,7 @@ class OutputFit:
     """Of an experiment in time."""
 
     json_layout: ClassVar = Layout(
-        omitted={"times", "measured", "simulated", "counted"},
-        derived=("counted_from", "fit", "rmse"),
+        omitted={"times", "measured", "simulated", "counted"}, derived=("counted_from", "fit", "rmse")
     )
 
     @property

@@ -35,9 +35,7 @@ class EstimationSection(StudySection):
     """Optimization of the parameters."""
 
     method: Annotated[str, kinds.one_of(METHODS)] = entry(
-        METHODS[0],
-        'default with n_starts: "multi-start"',
-        METHODS[0],
+        METHODS[0], 'default with n_starts: "multi-start"', METHODS[0]
     )
     n_starts: kinds.Count | None = entry(None, "starting points of multi-start, or members of the evolution", 50)
     seed: kinds.Natural = entry(0, "seed of a global search")
@@ -49,9 +47,7 @@ class EstimationSection(StudySection):
     )
     solver_check: Annotated[str, kinds.one_of(ACCURACIES)] = entry("refine", "for solver errors above 0.1 σ", "refine")
     model_error: Annotated[str, kinds.one_of(MODEL_ERROR)] = entry(
-        "refit",
-        "for model errors that directed tests name",
-        "refit",
+        "refit", "for model errors that directed tests name", "refit"
     )
     restarts: bool = entry(True, "try other starting points after a failure or a large residual; not in batches")
     observer_memory: kinds.Positive | None = entry(None, "memory of a state observer, in samples", 3.0)

@@ -104,9 +104,7 @@ class DiagnosisSection(StudySection):
     """Fault diagnosis against a baseline."""
 
     baseline: kinds.File | None = entry(
-        None,
-        "result.json of the healthy machine; without it, identify stores one",
-        "healthy/result.json",
+        None, "result.json of the healthy machine; without it, identify stores one", "healthy/result.json"
     )
     std_factor: Annotated[Factor | Factors, kinds.BY_SHAPE] = entry(
         1.0, "factor on the baseline's σ: allowed healthy changes"

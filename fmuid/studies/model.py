@@ -81,9 +81,7 @@ class NumericsSection(StudySection):
     """Solver of an FMU."""
 
     interface: Annotated[str, kinds.one_of(KINDS)] | None = entry(
-        None,
-        'FMI interface type; default: "co-simulation" if the FMU has it',
-        "model-exchange",
+        None, 'FMI interface type; default: "co-simulation" if the FMU has it', "model-exchange"
     )
     solver: Annotated[str, kinds.one_of(INTEGRATORS)] | None = entry(
         None,
@@ -97,9 +95,7 @@ class NumericsSection(StudySection):
         None, "largest communication step, s; default: the sampling interval", 1e-3
     )
     max_solver_steps: kinds.Count | None = entry(
-        None,
-        f'largest number of "rk45" and "cvode" steps between samples; default: {MOST_STEPS}',
-        10_000,
+        None, f'largest number of "rk45" and "cvode" steps between samples; default: {MOST_STEPS}', 10_000
     )
 
     @property

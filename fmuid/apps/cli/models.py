@@ -62,8 +62,7 @@ def init(
         Option(metavar="KEY=VALUE", help="Preprocessing of the data, e.g. lowpass_frequency=100; repeatable."),
     ] = None,
     nameplate: Annotated[
-        list[str] | None,
-        Option(metavar="KEY=VALUE", help="Number of the nameplate, e.g. 'P=1.1 kW'; repeatable."),
+        list[str] | None, Option(metavar="KEY=VALUE", help="Number of the nameplate, e.g. 'P=1.1 kW'; repeatable.")
     ] = None,
     kind: Annotated[
         str, Option(metavar="KIND", help="time; or steady or frequency, for rows without a time.")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import takewhile
 
 import numpy as np
 
@@ -216,30 +217,24 @@ def model_error_remarks(found: ModelErrors | None) -> list[Remark]:
     if not found.errors:
         tested = sum(each.is_testable for each in found.tests)
         said.append(HidingMessage.NONE.said(count=tested, level=f"{100 * found.level:g} %"))
-    hidden = hidden_test(found)
-    return said if hidden is None else [*said, hidden_remark(found, hidden)]
+    return [*said, *hidden_remarks(found)]
 
 
-def hidden_test(found: ModelErrors) -> DirectedTest | None:
-    """Return the usual error that could hide and moves an estimate most."""
+def hidden_remarks(found: ModelErrors) -> list[Remark]:
+    """Return what the gravest error that could hide would do, if any."""
     named = {each.test.direction.key for each in (*found.errors, *found.freed)}
-    for each in found.exposures:
-        if each.most[1] * each.direction.usual < 0.1:
-            break
-        if each.detectable > each.direction.usual and each.direction.key not in named:
-            return each
-    return None
-
-
-def hidden_remark(found: ModelErrors, test: DirectedTest) -> Remark:
-    """Return what an error of usual size would do."""
+    large = takewhile(lambda each: not each.most[1] * each.direction.usual < 0.1, found.exposures)
+    open_ = (each for each in large if each.detectable > each.direction.usual and each.direction.key not in named)
+    test = next(open_, None)
+    if test is None:
+        return []
     i, shift = test.most
     direction = test.direction
     values = {"error": error_names(direction), "usual": size_text(direction, direction.usual), "name": found.names[i]}
     values["shift"] = two_digits(shift * direction.usual)
     if not test.is_testable:
-        return HidingMessage.UNTESTABLE.said(**values)
-    return HidingMessage.HIDDEN.said(**values, detectable=size_text(direction, test.detectable))
+        return [HidingMessage.UNTESTABLE.said(**values)]
+    return [HidingMessage.HIDDEN.said(**values, detectable=size_text(direction, test.detectable))]
 
 
 def hiding_section(found: ModelErrors | None) -> list[Section]:

@@ -74,8 +74,7 @@ class BatchMessage(Message):
     OTHER_OPTIMA = plain("{others} of {total} converged cases found another optimum than the best.")
     EQUAL_OPTIMA = doubt("Several optima fit equally well.", remedy="Narrow the bounds or add priors.")
     DOUBTFUL = doubt(
-        "{count} of {total} cases ({share}) are DOUBTFUL: {reason}.",
-        remedy="Identify such a case by itself.",
+        "{count} of {total} cases ({share}) are DOUBTFUL: {reason}.", remedy="Identify such a case by itself."
     )
     NOT_TESTED = plain(
         "Residuals and model errors were not tested in the cases.",

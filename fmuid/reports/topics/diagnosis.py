@@ -98,12 +98,10 @@ class DiagnosisMessage(Message, section="causes"):
     )
     COMMON = plain("Healthy parameters: {values}.")
     RESIDUAL = plain(
-        "Residual variance: {ratio:.3g} × baseline (p = {probability:.2g}).",
-        "a small p means an unexplained rest",
+        "Residual variance: {ratio:.3g} × baseline (p = {probability:.2g}).", "a small p means an unexplained rest"
     )
     MODEL_ERROR = plain(
-        "Fault-model error: {share:.2g} % along other signatures.",
-        "difference between a fault and its model",
+        "Fault-model error: {share:.2g} % along other signatures.", "difference between a fault and its model"
     )
     DEVIATION = doubt(
         "{name} is {distance:.2g} σ from its baseline.",

@@ -12,13 +12,13 @@ from fmuid.estimation import Grade, Result, Verdict
 from fmuid.formatting import fit_text, unit_text
 from fmuid.identification import ModelErrors, judge, quantile
 from fmuid.models import SolverConfiguration
+from fmuid.reports.chart import Units
 from fmuid.reports.document import Document, Message, Remark, Section, bad, origin_of, plain
 from fmuid.reports.topics.assumption_rows import assumption_rows
 from fmuid.reports.topics.assumptions import (
     assumed_section,
     defect_remarks,
-    hidden_remark,
-    hidden_test,
+    hidden_remarks,
     hiding_section,
     model_error_remarks,
 )
@@ -111,7 +111,7 @@ def _remarks(found: IdentificationRun) -> list[Remark]:
     said += [*others, *optima_remarks(result)]
     said += [*model_error_remarks(checks.model_errors), *defect_remarks(checks.data_defects)]
     said += [*reading_remarks(reading, found.output_units), *residual_remarks(residuals, found.output_units)]
-    said.append(RunMessage.NOISE.said("residuals", noise=_noise(result, found.fits)))
+    said.append(RunMessage.NOISE.said("residuals", noise=_noise(result, found.output_units)))
     for component, model in result.setup.models.items():
         if "run" in model:
             run = run_words(SolverConfiguration(**model["run"]))
@@ -152,11 +152,10 @@ def _summary(found: IdentificationRun, said: Sequence[Remark]) -> tuple[tuple[st
 
 def _untested(found: ModelErrors | None) -> tuple[str, str]:
     """Return the line that stands beside PASSED: what the tests would not have shown."""
-    hidden = None if found is None else hidden_test(found)
-    if found is None or hidden is None:
-        return "Not tested", "model errors that the parameters absorb → fmuid predict RESULT NEW_DATA"
-    label, text = hidden_remark(found, hidden).text.rstrip(".").split(": ", 1)
-    return label, text
+    for each in () if found is None else hidden_remarks(found):
+        label, text = each.text.rstrip(".").split(": ", 1)
+        return label, text
+    return "Not tested", "model errors that the parameters absorb → fmuid predict RESULT NEW_DATA"
 
 
 _SETTINGS = ("SolverMessage.CHECKED", "SolverMessage.RUN", "SolverMessage.SENSITIVITIES")
@@ -187,9 +186,8 @@ def _fits(fits: Sequence[OutputFit]) -> str:
     return f"{', '.join(words)} (NRMSE)" if words else ""
 
 
-def _noise(result: Result, fits: Sequence[OutputFit]) -> str:
+def _noise(result: Result, units: Units) -> str:
     """Return the standard deviation of each output's residual."""
-    units = {output: unit for fit in fits for output, unit in zip(fit.outputs, fit.units, strict=True)}
     words = []
     for output, variance in result.fit.noise_variance.items():
         given = result.fit.given_variance.get(output)

@@ -37,7 +37,7 @@ class ComparisonMessage(Message, section="likelihood"):
     REJECTED = plain("{smaller} is rejected against {larger}: it needs {freed} (p = {chance}).")
     NOT_REJECTED = plain("{smaller} is not rejected against {larger}: {freed} not needed (p = {chance}).")
     COLORED = plain(
-        "Residuals are colored: {samples} samples count as {worth:.0f} (log-likelihoods divided by {dependence:.3g}).",
+        "Residuals are colored: {samples} samples count as {worth:.0f} (log-likelihoods divided by {dependence:.3g})."
     )
     PRIORS = plain("AIC and BIC of {names} are too high: they use priors.", remedy="Compare on a common data file.")
     NO_FIT = plain("Common data: fit undefined for constant outputs.", remedy="Compare the RMSE.")

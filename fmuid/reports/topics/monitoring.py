@@ -55,8 +55,7 @@ class MonitoringMessage(Message, section="timeline"):
     LIMIT_OPEN = plain("{column} does not reach its limit {limit} at this rate (95 %: {early} to {late}).")
     SKIPPED = doubt("{source}: windows from {times} skipped.")
     WHITE_NOISE = doubt(
-        "White noise assumed: the baseline is a result alone.",
-        remedy="List healthy data in `diagnosis.healthy_data`.",
+        "White noise assumed: the baseline is a result alone.", remedy="List healthy data in `diagnosis.healthy_data`."
     )
 
 

@@ -69,8 +69,7 @@ class SolverMessage(Message, section="accuracy"):
     REFUSED = plain("{count} other optima exist only with the inaccurate solver.")
     SHIFTED = plain("Solver error moves {shifts}; σ includes it.")
     ASKED = plain(
-        "The solver was kept as the study sets it.",
-        remedy="Leave `interface`, `tolerance` and `solver_check` unset.",
+        "The solver was kept as the study sets it.", remedy="Leave `interface`, `tolerance` and `solver_check` unset."
     )
     FITS_BETTER = plain(
         "The solver was kept: a more accurate one fits clearly worse.", "the data may come from this very solver"

@@ -45,8 +45,7 @@ class TerminationMessage(Message, section="cost"):
     UNDETERMINED = bad("Not all parameters are identifiable.")
     UNSETTLED = bad("Not converged: noise variances do not settle.", remedy="Set `noise.variance`.")
     ITERATION_LIMIT = bad(
-        "Not converged: limit of {iterations} reached.",
-        remedy="Raise `max_iterations` or improve the initial guess.",
+        "Not converged: limit of {iterations} reached.", remedy="Raise `max_iterations` or improve the initial guess."
     )
     RUNAWAY = bad(
         "Not converged: parameters diverge without improving the fit.",
@@ -65,8 +64,7 @@ class TerminationMessage(Message, section="cost"):
     )
     INTERRUPTED = bad("Interrupted: best values so far.", remedy="Continue with `--resume`.")
     INTERRUPTED_SEARCH = bad(
-        "Interrupted after {fits} of a global search: best values so far.",
-        remedy="Continue with `--resume`.",
+        "Interrupted after {fits} of a global search: best values so far.", remedy="Continue with `--resume`."
     )
     AT_BOUND = doubt(
         "{name} is at its {end} bound {value}.",

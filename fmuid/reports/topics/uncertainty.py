@@ -67,12 +67,10 @@ class UncertaintyMessage(Message, section="profiles"):
         "Raise `max_steps`; if that does not help, add a prior or narrower bounds.",
     )
     TOO_FEW = doubt(
-        "{name} has {samples} independent samples instead of {wanted}.",
-        remedy="Raise `max_steps` to about {more}.",
+        "{name} has {samples} independent samples instead of {wanted}.", remedy="Raise `max_steps` to about {more}."
     )
     OTHER_OPTIMUM = doubt(
-        "Another optimum is similarly probable: {values}.",
-        remedy="Narrow the bounds or add a prior.",
+        "Another optimum is similarly probable: {values}.", remedy="Narrow the bounds or add a prior."
     )
     PRIOR_ONLY = doubt("{names}: along this direction the samples show priors and bounds only.")
 

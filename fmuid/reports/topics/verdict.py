@@ -57,11 +57,7 @@ class VerdictMessage(Message):
         "a closed loop, whose noise biases estimates, or outputs that run ahead of the inputs",
         "Identify the loop from its reference, or check the clocks.",
     )
-    MODEL_ERROR = (
-        "{error}",
-        "a directed test names this model error",
-        "Follow the message of the model error.",
-    )
+    MODEL_ERROR = ("{error}", "a directed test names this model error", "Follow the message of the model error.")
     DATA_DEFECT = (
         "{defect}",
         "the record itself biases estimates or intervals",
