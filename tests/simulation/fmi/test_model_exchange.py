@@ -74,6 +74,31 @@ def test_versions_and_kinds_mix(coil3: Path) -> None:
         assert np.abs(got - expected).max() < 3e-4 * expected.max()  # values held over 10 us, of 25 ms: first order
 
 
+def curved_response(times: Array, u: Array, R: float, L: float) -> Array:
+    """L di/dt = u - R i with u a monotone cubic curve, which does not go across a step."""
+    i = [0.0]
+    parts = np.split(np.arange(times.size), np.flatnonzero(np.diff(times) == 0) + 1)
+    for part in parts:
+        curve = PchipInterpolator(times[part], u[part])
+        if part[0] > 0:
+            i.append(i[-1])
+        for a, b in zip(times[part][:-1], times[part][1:], strict=True):
+
+            def slope(t: float, x: Array, curve: PchipInterpolator = curve) -> Array:
+                return np.asarray((curve(t) - R * x) / L)
+
+            i.append(solve_ivp(slope, (a, b), [i[-1]], "DOP853", rtol=1e-12, atol=1e-14).y[0, -1])
+    return np.array(i)
+
+
+def test_cubic_inputs(drawn: tuple[Array, Array]) -> None:
+    times, u = drawn
+    experiment = record(times, {"u": u}, ["i"], "pchip")
+    got = Simulator(COIL, experiment, interface="model-exchange", **INTEGRATORS["rk45"])([])[:, 0]
+    expected = curved_response(times, u, 4.0, 0.1)
+    assert np.abs(got - expected).max() < 2e-8 * np.abs(expected).max()
+
+
 def test_interpolation_is_chosen_for_each_input() -> None:
     """One record under three machines' inputs: what is held, straight and curved stays so beside the others."""
     times = np.linspace(0.0, 0.02, 30)
