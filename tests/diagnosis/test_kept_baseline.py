@@ -21,9 +21,7 @@ from tests.support.running import run_following, run_monitoring, run_study
 COIL = Path(__file__).parents[2] / "experiments" / "coil"
 MODEL = {"fmu": str(FMUS / "Coil/Coil.fmu")}
 EXPERIMENT = {"data": "healthy.csv", "inputs": ["u"], "outputs": ["i"], "interpolation": "zoh"}
-FAULTS = {
-    "turns": {"fmu": str(FMUS / "CoilTurns/CoilTurns.fmu"), "parameters": {"lost": {"nominal": 0.1, "max": 0.9}}},
-}
+FAULTS = {"turns": {"fmu": str(FMUS / "CoilTurns/CoilTurns.fmu"), "parameters": {"lost": {"nominal": 0.1, "max": 0.9}}}}
 STUDY = f"""
 [model]
 fmu = "{FMUS}/Coil/Coil.fmu"

@@ -35,10 +35,7 @@ def faults() -> dict[str, fmuid.Fault]:
         "eta0": fmuid.Parameter(0.0, min=0.0, nominal=0.1),
         "theta0": fmuid.Parameter(0.0, min=0.0, max=np.pi, nominal=1.0),
     }
-    return {
-        "stator": leaking_stator(OWN),
-        "rotor": fmuid.Fault(rotor, bars, angles=["theta0"]),
-    }
+    return {"stator": leaking_stator(OWN), "rotor": fmuid.Fault(rotor, bars, angles=["theta0"])}
 
 
 def operated(always: Condition, changes: Sequence[dict[str, Any]], seed: int) -> list[fmuid.Experiment]:

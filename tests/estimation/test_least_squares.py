@@ -155,8 +155,7 @@ def check(result: Result, truth: list[float]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("bounds", "start"),
-    [({}, (2.0, 8.0, 1.0)), pytest.param({"min": 0.0}, (0.5, 5.0, 0.1), marks=pytest.mark.slow)],
+    ("bounds", "start"), [({}, (2.0, 8.0, 1.0)), pytest.param({"min": 0.0}, (0.5, 5.0, 0.1), marks=pytest.mark.slow)]
 )
 def test_friction_at_rest(bounds: dict[str, Any], start: tuple[float, ...]) -> None:
     """Nothing moves at the start: neither friction nor mass shows until the Coulomb friction is less."""

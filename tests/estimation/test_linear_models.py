@@ -142,12 +142,7 @@ def test_an_oscillator_from_anywhere_at_irregular_times_with_holes() -> None:
     damped = omega * math.sqrt(1.0 - zeta**2)
     y = np.exp(-zeta * omega * times) * np.cos(damped * times + 0.3)
     y[rng.random(times.size) < 0.2] = np.nan
-    found = equation_error(
-        times,
-        Term(-y, derivative=2),
-        {"damping": Term(y, 1), "stiffness": Term(y)},
-        cutoff=6.0,
-    )
+    found = equation_error(times, Term(-y, derivative=2), {"damping": Term(y, 1), "stiffness": Term(y)}, cutoff=6.0)
     assert found.values == pytest.approx([2.0 * zeta * omega, omega**2], rel=1e-3)
 
 

@@ -27,10 +27,7 @@ def test_tanks_that_overflow(tmp_path: Path) -> None:
     def rates(_: float, x: Floats, u: float) -> list[float]:
         out = 0.039 * max(x[0], 1e-9) ** 0.5
         upper, lower = 0.1 * max(0.0, x[0] - 7.0), 0.1 * max(0.0, x[1] - 6.5)
-        return [
-            0.052 * max(0.0, u - 0.7) - out - upper,
-            out + 0.9 * upper - 0.046 * max(x[1], 1e-9) ** 0.5 - lower,
-        ]
+        return [0.052 * max(0.0, u - 0.7) - out - upper, out + 0.9 * upper - 0.046 * max(x[1], 1e-9) ** 0.5 - lower]
 
     levels = [np.array([4.0, 5.0])]
     for u in voltage[:-1]:

@@ -136,11 +136,7 @@ def test_what_the_check_takes_where_all_is_well() -> None:
 
 @pytest.mark.parametrize(
     ("draws", "least"),
-    [
-        (1, 1),
-        pytest.param(12, 11, marks=pytest.mark.slow),
-        pytest.param(200, 195, marks=pytest.mark.campaign),
-    ],
+    [(1, 1), pytest.param(12, 11, marks=pytest.mark.slow), pytest.param(200, 195, marks=pytest.mark.campaign)],
 )
 def test_the_coil_does_not_alias(draws: int, least: int) -> None:
     """From (20 Ω, 10 mH) steps of 1 ms alias e^−0.04 in the coil's own Runge–Kutta, at L = 1.42 mH.

@@ -70,10 +70,7 @@ CASES: dict[str, tuple[Result, list[Reason]]] = {
     ),
     "solver": (replace(PLAIN, accuracy=shifted(AccuracyOutcome.SHIFTED, 3.0)), [Reason.SOLVER_ERROR]),
     "exact": (replace(PLAIN, accuracy=shifted(AccuracyOutcome.PASSED, 0.05)), []),
-    "unchecked": (
-        replace(PLAIN, accuracy=shifted(AccuracyOutcome.UNCHECKABLE, math.nan)),
-        [Reason.SOLVER_UNCHECKED],
-    ),
+    "unchecked": (replace(PLAIN, accuracy=shifted(AccuracyOutcome.UNCHECKABLE, math.nan)), [Reason.SOLVER_UNCHECKED]),
     "optimum": (replace(PLAIN, history=replace(HISTORY, optima=optima(1.2))), [Reason.SECOND_OPTIMUM]),
     "far optimum": (replace(PLAIN, history=replace(HISTORY, optima=optima(9.0))), []),
     "combination": (

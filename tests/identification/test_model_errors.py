@@ -244,10 +244,7 @@ def test_nothing_is_tested_without_noise_or_with_a_robust_loss() -> None:
     assert find_model_errors(exact, fmuid.identify(exact)) is None
     frame = exact.experiments[0].frame
     robust = fmuid.Problem(
-        COIL,
-        fmuid.Experiment(frame, ["u"], ["i"], interpolation="zoh"),
-        exact.given_parameters,
-        loss="huber",
+        COIL, fmuid.Experiment(frame, ["u"], ["i"], interpolation="zoh"), exact.given_parameters, loss="huber"
     )
     assert find_model_errors(robust, fmuid.identify(robust)) is None
     function = fmuid.estimation.LeastSquares.from_function(

@@ -43,10 +43,7 @@ WRONG: dict[str, tuple[Callable[[], object], str]] = {
         lambda: fmuid.compare_models([result(), result()]),  # type: ignore[list-item]
         "must be fmuid.identification.ModelCandidate.*, not a Result",
     ),
-    "function": (
-        lambda: LeastSquares.from_function(abs, TEXT, {"a": Parameter(1.0)}),
-        "measured must be numbers",
-    ),
+    "function": (lambda: LeastSquares.from_function(abs, TEXT, {"a": Parameter(1.0)}), "measured must be numbers"),
     "cutoff": (lambda: equation(cutoff=TEXT), "cutoff must be a positive number of rad/s, not 'abc'"),
     "term": (lambda: equation(terms={"a": TIMES}), "the term of 'a' must be a fmuid.estimation.Term"),
     "derivative": (lambda: Term(TIMES, derivative=TEXT), "derivative must be 0, 1"),

@@ -252,10 +252,7 @@ def test_a_circle_without_a_component(package: Maker) -> None:
         ({}, "no SystemStructure.ssd at its top level"),
         ({"SystemStructure.ssd": "<a"}, "SystemStructure.ssd: not well-formed XML"),
         ({"SystemStructure.ssd": "<a version='1.0'/>"}, "SystemStructure.ssd: not a system structure"),
-        (
-            {"SystemStructure.ssd": "<SystemStructureDescription version='3.0'/>"},
-            "SSP 3.0 is not supported",
-        ),
+        ({"SystemStructure.ssd": "<SystemStructureDescription version='3.0'/>"}, "SSP 3.0 is not supported"),
         ({"SystemStructure.ssd": "<SystemStructureDescription version='1.0'/>"}, "0 top-level systems"),
         ({"SystemStructure.ssd": "", "../evil": ""}, "'../evil' is outside the archive's folder"),
     ],

@@ -124,11 +124,7 @@ def test_types_and_tables(
         ),
         (parameter("x", "on", "Enumeration"), ("x", "types.n", ""), "is 'on', which does not fit its type Integer"),
         (parameter("x", "a", "String"), ("x", "types.r", ""), "is 'a', which does not fit its type Real"),
-        (
-            parameter("x", 2, "Integer"),
-            ("x", "types.n", table("Integer", _3="4")),
-            "is 2, which its mapping lacks",
-        ),
+        (parameter("x", 2, "Integer"), ("x", "types.n", table("Integer", _3="4")), "is 2, which its mapping lacks"),
     ],
 )
 def test_values_of_a_wrong_type(

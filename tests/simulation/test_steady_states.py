@@ -19,15 +19,7 @@ from fmuid.data import RotatingFrame, SteadyExperiment
 from fmuid.simulation import AnySimulator, simulator_of
 from tests.support.packing import pack
 from tests.support.paths import FMUS
-from tests.support.resting import (
-    ADDING,
-    BISTABLE,
-    KINKED,
-    MACHINE,
-    SATURATED,
-    saturated_motor,
-    three_tests,
-)
+from tests.support.resting import ADDING, BISTABLE, KINKED, MACHINE, SATURATED, saturated_motor, three_tests
 
 INDUCTION = FMUS / "InductionMachine/InductionMachine.fmu"
 

@@ -103,11 +103,7 @@ def _anywhere(rng: Random, count: int) -> int:
 
 
 def _of_lines(
-    rng: Random,
-    text: str,
-    times: list[int],
-    change: Callable[[list[str]], list[str]],
-    place: Callable[[int], int],
+    rng: Random, text: str, times: list[int], change: Callable[[list[str]], list[str]], place: Callable[[int], int]
 ) -> str:
     found = text.split("\n")
     for _ in range(rng.choice(times)):

@@ -148,9 +148,7 @@ def test_no_room_for_figures(folder: Path, monkeypatch: pytest.MonkeyPatch, caps
     """One sentence, what was saved before is told, and no half file is left."""
     written: Any = Figure.savefig
     monkeypatch.setattr(
-        Figure,
-        "savefig",
-        lambda self, to, **rest: full() if "residuals" in str(to) else written(self, to, **rest),
+        Figure, "savefig", lambda self, to, **rest: full() if "residuals" in str(to) else written(self, to, **rest)
     )
     assert fmuid_("identify", folder / "study.toml", "--figures", "png") == WRONG_INPUT
     out, error = capsys.readouterr()

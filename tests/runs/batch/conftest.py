@@ -9,14 +9,7 @@ from typing import Any
 import pytest
 
 from fmuid.runs.batch import batch as module
-from tests.support.coil_batches import (
-    DRAWS,
-    NOISE,
-    RECORDS,
-    Here,
-    _json,
-    write,
-)
+from tests.support.coil_batches import DRAWS, NOISE, RECORDS, Here, _json, write
 from tests.support.coil_cases import R, record
 from tests.support.coil_study import coil_table
 from tests.support.isolated import wait_until

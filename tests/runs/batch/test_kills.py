@@ -22,16 +22,7 @@ from fmuid.runs.batch import local_workers
 from fmuid.runs.batch import worker_pool as cluster
 from fmuid.runs.batch.case import VOLATILE, CaseRunner
 from fmuid.runs.batch.worker import versions
-from tests.support.coil_batches import (
-    DRAWS,
-    NOISE,
-    expected,
-    plain,
-    refused,
-    same,
-    worker,
-    write,
-)
+from tests.support.coil_batches import DRAWS, NOISE, expected, plain, refused, same, worker, write
 from tests.support.coil_study import fmuid_
 from tests.support.isolated import wait_until
 from tests.support.misbehaving import RELEASED, Mode, Where, lag, misbehaving_fmu

@@ -171,11 +171,7 @@ def test_xml_and_archives_are_read_in_one_place() -> None:
         ('start="0.5"', 'start="half"', "'length': wrong value: could not convert"),
         (' instantiationToken="linear"', "", "no guid or instantiationToken"),
         (' modelName="Linear"', "", "fmiModelDescription without a name"),
-        (
-            '<Float64 name="length"',
-            '<Float65 name="length"',
-            "'length': Float65 is no type of FMI 3.0",
-        ),
+        ('<Float64 name="length"', '<Float65 name="length"', "'length': Float65 is no type of FMI 3.0"),
         (' dependencies="4"', ' dependencies="4 u"', "reference to a variable = u"),
         ('<Dimension start="5"/>', "<Dimension/>", "reference to a variable = None"),
         ('<Dimension start="5"/>', '<Dimension start="-5"/>', "the size of an array = -5"),

@@ -225,8 +225,4 @@ def test_a_connector_sets_several_variables(drawn: tuple[Array, Array]) -> None:
 def test_wrong_connectors_are_one_sentence(connectors: dict[str, list[str]], sentence: str) -> None:
     ports = {name: [(each, 1.0, 0.0) for each in some] for name, some in connectors.items()}
     with pytest.raises(InputError, match=sentence):
-        System(
-            components={"one": COIL, "other": COIL},
-            connections=[("one.i", "other.u", 1.0, 0.0)],
-            connectors=ports,
-        )
+        System(components={"one": COIL, "other": COIL}, connections=[("one.i", "other.u", 1.0, 0.0)], connectors=ports)

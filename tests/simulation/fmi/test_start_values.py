@@ -122,11 +122,7 @@ def test_annotations_of_others_stay(tmp_path: Path) -> None:
         (FMI_3, {"A[3,1]": 1.0}, r"no scalar variable 'A\[3,1\]'"),
         (FMI_3, {"A[1]": 1.0}, r"no scalar variable 'A\[1\]'"),
         (FMI_3, {"A[0,1]": 1.0}, r"no scalar variable 'A\[0,1\]'"),
-        (
-            FMI_3.replace("4 5 6", "4 5"),
-            {"A[1,1]": 1.0},
-            "array of 6 elements: start values .* must be one or 6",
-        ),
+        (FMI_3.replace("4 5 6", "4 5"), {"A[1,1]": 1.0}, "array of 6 elements: start values .* must be one or 6"),
         ("<a", {"a": 1.0}, "not well-formed XML"),
     ],
 )
