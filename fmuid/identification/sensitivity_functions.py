@@ -31,8 +31,8 @@ class SensitivityFunctions:
     Attributes
     ----------
     experiment : str
-    times : (K,) array
-        s.
+    axis : mapping of str to (K,) array
+        Times, s; of rows without a time their numbers and inputs.
     outputs, units : tuple of str
         Outputs, and the units of both outputs and sensitivities; "" without.
     parameters : tuple of str
@@ -42,7 +42,7 @@ class SensitivityFunctions:
     """
 
     experiment: str
-    times: Floats
+    axis: Mapping[str, Floats]
     outputs: tuple[str, ...]
     units: tuple[str, ...]
     parameters: tuple[str, ...]
@@ -51,8 +51,8 @@ class SensitivityFunctions:
 
     @property
     def table(self) -> pd.DataFrame:
-        """Time (s), and a column ``output/parameter`` for each pair."""
-        columns: dict[str, Floats] = {"time": self.times}
+        """Time (s) or rows, and a column ``output/parameter`` for each pair."""
+        columns = dict(self.axis)
         for j, output in enumerate(self.outputs):
             columns |= {f"{output}/{name}": self.values[:, j, i] for i, name in enumerate(self.parameters)}
         return pd.DataFrame(columns)
@@ -70,7 +70,7 @@ class ExpectedAccuracy:
     """Expected σ of the estimates from an excitation."""
 
     excitation: str
-    duration: float  # s
+    duration: float  # s; NaN of rows without a time
     std: dict[str, float]  # infinite where not identifiable
     relative: dict[str, float]  # over the parameter's magnitude
     log_determinant: float  # of the information of relative parameters; −infinity if a direction is not identifiable
@@ -113,7 +113,7 @@ def sensitivity_functions(
     units = tuple(output_unit(model, experiment, name) or "" for name in experiment.output_names)
     return SensitivityFunctions(
         experiment.name,
-        experiment.times,
+        experiment.axis,
         experiment.output_names,
         units,
         tuple(parameters),
@@ -126,7 +126,7 @@ def expected_accuracy(
     model: System,
     excitation: Experiment,
     parameters: Mapping[str, Parameter],
-    variance: Mapping[str, float],
+    variance: Mapping[str, float | Floats],
     values: Mapping[str, Value] | None = None,
 ) -> ExpectedAccuracy:
     """Compute the expected σ of an excitation at the initial guess.
@@ -137,7 +137,7 @@ def expected_accuracy(
     excitation : Experiment
         Measured, or planned (`fmuid.diagnosis.planned_experiment`).
     parameters : mapping of str to Parameter
-    variance : mapping of str to float
+    variance : mapping of str to float or (K,) array
         Noise variance of each output, in the unit of the excitation's data.
     values : mapping of str to float, int, bool or str, optional
         Fixed variables.
@@ -153,8 +153,8 @@ def expected_accuracy(
         if name not in variance:
             raise InputError(f'noise level of {name!r} is unknown. Set noise.variance = {{ "{name}" = ... }}.')
     found = sensitivity_functions(model, excitation, parameters, values)
-    weights = np.array([variance[name] ** -0.5 for name in excitation.output_names])
-    rows = (found.values * weights[:, None])[excitation.counted]
+    levels = [np.broadcast_to(variance[name], len(excitation.times)) for name in excitation.output_names]
+    rows = (found.values / np.sqrt(np.column_stack(levels))[:, :, None])[excitation.counted]
     flat = ParameterSet(parameters, [excitation.name])
     rows = np.vstack([rows, flat.prior_whitening * found.magnitudes])
     _, singular, directions = np.linalg.svd(rows, full_matrices=False)
@@ -166,7 +166,7 @@ def expected_accuracy(
     names = found.parameters
     return ExpectedAccuracy(
         excitation.name,
-        float(excitation.times[-1] - excitation.times[0]),
+        float(np.ptp(excitation.times)) if excitation.kind == "time" else math.nan,
         dict(zip(names, (relative * found.magnitudes).tolist(), strict=True)),
         dict(zip(names, relative.tolist(), strict=True)),
         2.0 * float(np.log(singular).sum()) if whole else -math.inf,

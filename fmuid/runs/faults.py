@@ -10,6 +10,7 @@ from typing import Any
 import pandas as pd
 
 from fmuid import codec, files
+from fmuid.array_types import Floats
 from fmuid.data import Experiment, Parameter, record_files
 from fmuid.diagnosis import (
     Baseline,
@@ -30,6 +31,7 @@ from fmuid.runs.folder import MONITORING_FILE, MONITORING_SCHEMA, write_diagnosi
 from fmuid.runs.predict import records_like
 from fmuid.runs.preprocessing import prepared
 from fmuid.runs.provenance import made_from, with_earlier
+from fmuid.simulation import simulator_of
 from fmuid.studies import Study
 
 
@@ -168,18 +170,31 @@ def ranked_excitations(
     study: Study, tables: Sequence[Path], *, by: str = "determinant", fault: str | None = None
 ) -> pd.DataFrame:
     """Compare excitations, best first, by expected accuracy or fault size."""
-    words = study.experiments[0]
     candidates = {path.stem: _excitation(study, path) for path in record_files(tables)}
     if fault is not None:
         return design_of(study, fault).rank(candidates)
     study.check_parameters()
-    variance = study.known_variance
-    for name in words.output_names:
-        if name not in variance:
-            raise InputError(f"{study.path}: noise: no variance of {name!r}. Give it.")
     parameters, values = _shared(study), study.model.values
-    found = [expected_accuracy(study.system, each, parameters, variance, values) for each in candidates.values()]
+    found = [
+        expected_accuracy(study.system, each, parameters, _variance(study, each), values)
+        for each in candidates.values()
+    ]
     return rank_excitations(found, by=by)
+
+
+def _variance(study: Study, excitation: Experiment) -> dict[str, float | Floats]:
+    """Return the noise variance of each output; in proportion to simulated readings an array (K,)."""
+    known: dict[str, float | Floats] = {**study.known_variance}
+    for name in (each for each in excitation.output_names if each not in known):
+        word, level = study.noise.form(name)
+        if word != "reading_std" or isinstance(level, str):
+            raise InputError(f"{study.path}: noise: no level of {name!r}. Give its variance, std or reading_std.")
+        start = {key: each.start for key, each in _shared(study).items()}
+        outputs = simulator_of(study.system, excitation, tuple(start), study.model.values)(list(start.values()))
+        columns = [excitation.columns[each] for each in excitation.output_names]
+        readings = replace(excitation.with_columns(dict(zip(columns, outputs.T, strict=True))), measured=True)
+        known[name] = (level * readings.readings(name)) ** 2
+    return known
 
 
 def healthy_record_cost(study: Study, tables: Sequence[Path], fault: str, excitation: str) -> pd.DataFrame:

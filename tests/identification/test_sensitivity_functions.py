@@ -1,13 +1,15 @@
 """Sensitivity functions and promised accuracy against closed forms and against what identifications give."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from fmuid import Experiment, InputError, Normal, Parameter, System
+from fmuid import Experiment, InputError, Normal, Parameter, Study, System, identify
 from fmuid.identification import expected_accuracy, rank_excitations, sensitivity_functions
+from fmuid.runs import ranked_excitations
 from tests.support.paths import FMUS
 
 COIL = System.of(FMUS / "Coil/Coil.fmu")
@@ -63,3 +65,33 @@ def test_priors_count() -> None:
     assert found.log_determinant == pytest.approx(2.0 * math.log(R / 0.1 * L / 0.01))
     with pytest.raises(InputError, match="noise level of 'i' is unknown"):
         expected_accuracy(COIL, excitation(1.0), PARAMETERS, {})
+
+
+def test_expected_accuracy_of_a_spectrum_is_that_of_its_fit(tmp_path: Path) -> None:
+    """With noise in proportion to the magnitude: against σ of an identification."""
+    rows = np.logspace(-1.0, 2.0, 31)
+    impedance = R + 2j * np.pi * L * rows
+    table = pd.DataFrame({"f": rows, "re": impedance.real, "im": impedance.imag})
+    table.to_csv(tmp_path / "plan.csv", index=False)
+    (tmp_path / "study.toml").write_text(
+        f"""[model]
+fmu = '{FMUS / "Coil/Coil.fmu"}'
+[[experiments]]
+kind = "frequency"
+data = "plan.csv"
+frequency = "f"
+responses.Z = {{ of = "u / i", real = "re", imaginary = "im" }}
+[parameters]
+R = {{ start = {R} }}
+L = {{ start = {L} }}
+[noise]
+reading_std = 0.003
+""",
+        encoding="utf-8",
+    )
+    study = Study.read(tmp_path / "study.toml")
+    ranked = ranked_excitations(study, [tmp_path / "plan.csv"])
+    assert np.isnan(ranked["duration"][0])
+    found = identify(study.problem())
+    expected = [ranked[f"{name}.std"][0] for name in found.names]
+    np.testing.assert_allclose(expected, found.std, rtol=1e-3)

@@ -109,10 +109,12 @@ def sensitivity_document(
 
 
 def sensitivity_charts(table: pd.DataFrame, units: Units) -> ChartGrid:
-    """Return θ ∂ŷ/∂θ (1.33) of each output over time."""
+    """Return θ ∂ŷ/∂θ (1.33) of each output over time, frequency or rows."""
     pairs = [str(name) for name in table.columns if "/" in str(name)]
-    times = table["time"].to_numpy(np.float64)
-    across = Axis("time (s)", reach=(float(times[0]), float(times[-1])), linked="time")
+    over = str(table.columns[0])
+    times = table[over].to_numpy(np.float64)
+    label, reach = "time (s)" if over == "time" else over, (float(times.min()), float(times.max()))
+    across = Axis(label, "log" if over == "frequency" else "linear", reach=reach, linked=over)
     charts = []
     for output in list(dict.fromkeys(name.rpartition("/")[0] for name in pairs))[: LIMITS.outputs]:
         mine = [name for name in pairs if name.rpartition("/")[0] == output]

@@ -61,7 +61,7 @@ def test_the_length_of_a_healthy_record_that_is_enough_is_said() -> None:
     [
         (("--criterion", "size"), '"determinant" or "worst"'),
         (("--fault", "x"), "no [diagnosis]"),
-        (("--set", "noise.variance=estimate"), "no variance of 'i'"),
+        (("--set", "noise.variance=estimate"), "no level of 'i'"),
     ],
 )
 def test_wrong_words(folder: Path, words: tuple[str, ...], said: str, capsys: pytest.CaptureFixture[str]) -> None:
