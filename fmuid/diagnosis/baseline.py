@@ -116,6 +116,7 @@ class StoredBaseline:
     structure: HealthyStructure
     points: OperatingPoints
     whitening: Whitening
+    lines: tuple[float, float]  # rms voltage and current of lines
     subject: MachineDigest | None = None
     path: Path | None = None  # the file that it was read from
 
@@ -129,13 +130,15 @@ class StoredBaseline:
         )
         points = OperatingPoints(self.points.names, np.vstack([self.points.values, new.points.values]))
         subject = replace(self.subject, records=(*self.subject.records, *digests))
-        return StoredBaseline((*self.said, *new.said), structure, points, self.whitening, subject)
+        said = (*self.said, *new.said)
+        return StoredBaseline(said, structure, points, self.whitening, self.lines, subject)
 
     def write(self, path: Path) -> Path:
         """Write ``baseline.npz`` and return its path."""
         assert self.subject is not None
         how = self.structure
-        text = as_json(_Description(self.subject, self.whitening.models, how.groups, how.samples, self.points.names))
+        what = self.subject, self.whitening.models, how.groups, how.samples, self.points.names, self.lines
+        text = as_json(_Description(*what))
         arrays = {
             "text": np.frombuffer(json.dumps(text).encode(), np.uint8),
             "matrices": np.array([each.matrix for each in self.said]),
@@ -156,12 +159,12 @@ class StoredBaseline:
             parts = tuple(map(InformationMatrix, sums["structure"], sums["structure_scores"]))
             structure = HealthyStructure(text.groups, parts, text.samples)
             points = OperatingPoints(text.points, sums["points"])
-            return cls(said, structure, points, Whitening(text.noise), text.of, path)
+            return cls(said, structure, points, Whitening(text.noise), text.lines, text.of, path)
         except (KeyError, ValueError, TypeError) as error:
             if needed:
                 raise InputError(f"{path}: no complete file of fmuid identify ({error}). {REMEDY}") from None
             none = HealthyStructure({}, (), 0), OperatingPoints((), np.zeros((0, 0)))
-            return cls((), *none, Whitening({}), None, path)
+            return cls((), *none, Whitening({}), (0.0, 0.0), None, path)
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,6 +176,7 @@ class _Description:
     groups: Mapping[str, tuple[int, ...]]
     samples: int
     points: tuple[str, ...]
+    lines: tuple[float, float]
 
 
 def _model(system: System) -> Any:

@@ -58,7 +58,8 @@ class BaselineComparator:
         variance = baseline.variance(first.output_names)
         scale = {name: math.sqrt(value) for name, value in variance.items()}
         alone = Causes(None, None, None, None, None, None, None)
-        coordinates = coordinates_of(system, baseline.common, faults, first, scale, causes or alone)
+        lines = None if baseline.records or baseline.shown is None else baseline.shown.lines
+        coordinates = coordinates_of(system, baseline.common, faults, first, scale, causes or alone, lines)
         known, drift = _of_result(baseline, coordinates)
         noise = Whitening({name: baseline.noise(name, value) for name, value in variance.items()})
         learned = all(name in baseline.result.fit.output_noise for name in variance)

@@ -15,7 +15,7 @@ from fmuid.diagnosis.baseline import BaselineSource, StoredBaseline
 from fmuid.diagnosis.cause_ranking import SETTINGS as CAUSE_RANKING
 from fmuid.diagnosis.cause_ranking import CauseRanking, CauseSet, estimate_sizes, log_odds, name
 from fmuid.diagnosis.cause_results import ChangeEvidence, explanations, score
-from fmuid.diagnosis.causes import Cause, CauseKind, ChangeParameterSet
+from fmuid.diagnosis.causes import Cause, CauseKind, ChangeParameterSet, line_scale
 from fmuid.diagnosis.change_detection import MinPDistribution, fit
 from fmuid.diagnosis.information_matrix import (
     ChangePrior,
@@ -124,7 +124,7 @@ def shown_by(
     samples = sum(int(np.count_nonzero(machine.experiment.counted)) for machine in records)
     structure = HealthyStructure(_groups(records[0].experiment, coordinates), parts, samples)
     points = OperatingPoints.of([machine.experiment for machine in records])
-    return StoredBaseline(tuple(said), structure, points, whitening)
+    return StoredBaseline(tuple(said), structure, points, whitening, line_scale(records[0].experiment))
 
 
 def examine(

@@ -235,11 +235,15 @@ def coordinates_of(
     experiment: Experiment,
     noise: Mapping[str, float],
     causes: Causes,
+    lines: tuple[float, float] | None = None,
 ) -> ChangeParameterSet:
-    """Return the coordinates of a machine; `noise` is the standard deviation of each output's noise."""
+    """Return the coordinates of a machine; `noise` is the standard deviation of each output's noise.
+
+    `lines` is the `line_scale` of the baseline; default: of the experiment.
+    """
     each, found, healthy = list[ChangeParameter](), list[Cause](), list[float]()
     made = [*_of_machine(system, nominal, causes), *_of_faults(faults), *_of_sensors(system, experiment, noise, causes)]
-    for asked in [*made, *_of_inputs(experiment, causes), *_of_lines(experiment, causes)]:
+    for asked in [*made, *_of_inputs(experiment, causes), *_of_lines(experiment, causes, lines or line_scale(experiment))]:
         of, size = asked.of, asked.size
         if of.kind in (CauseKind.INPUT_GAIN, *LINE_KINDS) and of.quantity in nominal:
             continue  # a parameter of the machine
@@ -320,23 +324,30 @@ def _of_inputs(experiment: Experiment, causes: Causes) -> Iterator[_Coordinate]:
             yield _Coordinate(of, width.change_std)
 
 
-def _of_lines(experiment: Experiment, causes: Causes) -> Iterator[_Coordinate]:
-    """Yield joints and dead time of a sensor map with voltages."""
+def line_scale(experiment: Experiment) -> tuple[float, float]:
+    """Return the rms line voltage and current of a sensor map; 0 without."""
     made = experiment.sensor_map
     if made is None or not made.given.voltages:
+        return 0.0, 0.0
+    read = experiment.output_values[:, [experiment.output_names.index(each) for each in made.given.current_sensors]]
+    known = read[np.isfinite(read)]
+    current = float(np.sqrt(np.mean(known**2))) if known.size else 0.0
+    return float(np.sqrt(np.mean(made.voltages**2))), current
+
+
+def _of_lines(experiment: Experiment, causes: Causes, scale: tuple[float, float]) -> Iterator[_Coordinate]:
+    """Yield joints and dead time of a sensor map with voltages."""
+    made, (voltage, current) = experiment.sensor_map, scale
+    if made is None or not made.given.voltages:
         return
-    voltage = float(np.sqrt(np.mean(made.voltages**2)))
-    sensors = list(made.given.current_sensors)
-    read = experiment.output_values[:, [experiment.output_names.index(name) for name in sensors]]
-    current = float(np.sqrt(np.mean(read[np.isfinite(read)] ** 2))) if np.isfinite(read).any() else 0.0
     # without a current, no joint has a usual size
-    for kind, lines, scale, unit, given in (
+    for kind, lines, size, unit, given in (
         (CauseKind.JOINT, LINES if current else (), voltage / (current or 1.0), "Ohm", causes.joint),
         (CauseKind.DEAD_TIME, ("",), voltage, "V", causes.dead_time),
     ):
         for name in lines if given is not None else ():
             assert given is not None, "asked before"
-            step = SETTINGS.difference_step * scale
+            step = SETTINGS.difference_step * size
             yield _Coordinate(
-                ChangeParameter(kind, name, unit, step, given.healthy_std * scale), given.change_std * scale
+                ChangeParameter(kind, name, unit, step, given.healthy_std * size), given.change_std * size
             )

@@ -160,6 +160,7 @@ class GridSimulation:
     plan: SimulationPlan
     grid: TimeGrid
     output_names: tuple[str, ...]
+    driven: bool = False  # its inputs may change from call to call
 
     def integrate(self, component: int, integrator: str) -> None:
         """Use another integrator for a component from now on."""
@@ -188,9 +189,10 @@ class GridSimulation:
 
     @property
     def varying(self) -> list[Floats]:
-        """Arrays to fill in before each simulation: those of sensitivities, and given states."""
+        """Arrays to fill in before each simulation: those of sensitivities, given states and changing inputs."""
         some = [each.sensitivities for each in self.plan.integrations if each is not None and each.sensitivities]
         given = [] if self.grid.states is None else [self.grid.states]
+        given += [each for each in (self.grid.inputs, self.grid.slopes) if self.driven and each is not None]
         return [array for each in some for array in (each.magnitudes, each.initial, each.steps)] + given
 
 

@@ -18,7 +18,7 @@ from fmuid.simulation import codes
 from fmuid.simulation.executor_pool import close, executor_of
 from fmuid.simulation.observed import ObservedModel, Simulations
 from fmuid.simulation.plan_builder import converted_inputs, simulation_of
-from fmuid.simulation.simulation_plan import GridSimulation, SimulationJob
+from fmuid.simulation.simulation_plan import GridSimulation, SimulationJob, SimulationPlan
 from fmuid.simulation.simulation_task import Value, column_conversion, task_of
 
 
@@ -99,6 +99,7 @@ class Simulator:
         """Held values by variables, and the largest step, s."""
         self._task = task_of(self.system, experiment.of_model, names, held, step_size, divisor)
         self._simulation = simulation_of(self._task)
+        self._own_inputs: tuple[SimulationPlan, GridSimulation] | None = None
         self._executor = executor_of(self.system)
         self._conversions = self._output_conversions()
         fed = {*names, *held, *self.system.connected_inputs, *self.system.connectors}
@@ -221,13 +222,25 @@ class Simulator:
 
     def _driven(self, thetas: Floats, inputs: Floats | None) -> Simulations:
         """Simulate thetas (m, N) of the model, with other inputs if given."""
-        simulation = self._simulation
-        if inputs is not None:
-            task = replace(self._task, experiment=self._task.experiment.with_inputs(inputs))
-            values, slopes = converted_inputs(task)
-            grid = simulation.grid._replace(inputs=values, slopes=None if simulation.grid.slopes is None else slopes)
-            simulation = GridSimulation(simulation.plan, grid, simulation.output_names)
-        return self._simulate(simulation, self._of_own(thetas), thetas)
+        if inputs is None:
+            return self._simulate(self._simulation, self._of_own(thetas), thetas)
+        values, slopes = converted_inputs(replace(self._task, experiment=self._task.experiment.with_inputs(inputs)))
+        with self._executor.lock:
+            simulation = self._driven_simulation
+            simulation.grid.inputs[:] = values
+            if simulation.grid.slopes is not None:
+                simulation.grid.slopes[:] = slopes
+            return self._simulate(simulation, self._of_own(thetas), thetas)
+
+    @property
+    def _driven_simulation(self) -> GridSimulation:
+        """The simulation with inputs of its own, made once for a plan: instances stay bound to it."""
+        own = self._simulation
+        if self._own_inputs is None or self._own_inputs[0] is not own.plan:
+            inputs, slopes = own.grid.inputs.copy(), own.grid.slopes
+            grid = own.grid._replace(inputs=inputs, slopes=None if slopes is None else slopes.copy())
+            self._own_inputs = own.plan, GridSimulation(own.plan, grid, own.output_names, driven=True)
+        return self._own_inputs[1]
 
     @cached_property
     def of_model(self) -> Simulator:
