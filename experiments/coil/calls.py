@@ -22,7 +22,7 @@ from experiments import calls, pages
 from experiments.coil import study
 from fmuid.array_types import Floats
 from fmuid.diagnosis import Causes
-from fmuid.diagnosis.causes import coordinates_of
+from fmuid.diagnosis.causes import SignalScale, coordinates_of
 from fmuid.diagnosis.linearized_machine import LinearizedMachine
 
 HERE = Path(__file__).parent
@@ -146,7 +146,7 @@ def setting(beside: Causes | None = None) -> calls.Setting:
     nominal = {name: fmuid.Parameter(value, min=0.0) for name, value in (("R", study.R), ("L", study.L))}
     turns = fmuid.Fault(faulty, {"dR": fmuid.Parameter(0.0, nominal=0.5)}, values={"tau": study.TAU})
     sound = clean(SOUND)
-    coordinates = coordinates_of(coil, nominal, {"turns": turns}, sound, {"i": STD}, beside or Causes())
+    coordinates = coordinates_of(coil, nominal, {"turns": turns}, sound, SignalScale({"i": STD}), beside or Causes())
     drift = np.zeros(len(coordinates.each))
     for name, std in DRIFT.items():
         drift[[each.name for each in coordinates.each].index(name)] = std

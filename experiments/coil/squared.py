@@ -20,7 +20,7 @@ from experiments import calls, pages
 from experiments.coil import calls as coil
 from experiments.coil import study
 from fmuid.diagnosis import Causes
-from fmuid.diagnosis.causes import coordinates_of
+from fmuid.diagnosis.causes import SignalScale, coordinates_of
 from fmuid.diagnosis.change_detection import MinPDistribution, detectable
 from fmuid.diagnosis.information_matrix import ChangePrior, InformationMatrix, ScoreStatistics
 from fmuid.diagnosis.linearized_machine import LinearizedMachine
@@ -45,7 +45,7 @@ def setting(kind: str) -> calls.Setting:
     known = {each: fmuid.Parameter(value, min=0.0) for each, value in (("R", study.R), ("L", study.L))}
     size = fmuid.Parameter(0.0, nominal=nominal)
     faults = {"turns": fmuid.Fault(study.FMUS / model / f"{model}.fmu", {name: size}, values=values)}
-    coordinates = coordinates_of(system, known, faults, record(0.0), {"i": coil.STD}, Causes())
+    coordinates = coordinates_of(system, known, faults, record(0.0), SignalScale({"i": coil.STD}), Causes())
     drift = np.zeros(len(coordinates.each))
     drift[:2] = coil.DRIFT["R"], coil.DRIFT["L"]
 

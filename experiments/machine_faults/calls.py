@@ -27,7 +27,7 @@ from experiments.machine_faults.make_tables import WARM, simulate
 from fmuid.data import Angle, Observation
 from fmuid.data.signals import T23, inverse_park
 from fmuid.diagnosis import Causes
-from fmuid.diagnosis.causes import ChangeParameterSet, coordinates_of
+from fmuid.diagnosis.causes import ChangeParameterSet, SignalScale, coordinates_of
 from fmuid.diagnosis.linearized_machine import LinearizedMachine
 
 HERE = Path(__file__).parent
@@ -146,7 +146,7 @@ def setting() -> calls.Setting:
     sound, noise = clean(Off()), dict.fromkeys(SENSORS, STD)
     lines = Causes(joint=None, dead_time=None)  # of later studies
     coordinates = without(
-        coordinates_of(models.healthy_machine(), nominal, faults, sound, noise, lines), "input gain(w)"
+        coordinates_of(models.healthy_machine(), nominal, faults, sound, SignalScale(noise), lines), "input gain(w)"
     )
     machine = LinearizedMachine(models.healthy_machine(), {}, coordinates, sound)
     drift = np.zeros(len(coordinates.each))

@@ -14,7 +14,7 @@ from fmuid.data import Experiment
 from fmuid.diagnosis.baseline import Baseline, BaselineSource, MachineDigest, StoredBaseline, digest_of_record
 from fmuid.diagnosis.cause_analysis import BaselineStatistics, error_of, shown_by
 from fmuid.diagnosis.causes import SETTINGS as CAUSES
-from fmuid.diagnosis.causes import Causes, ChangeParameterSet, coordinates_of
+from fmuid.diagnosis.causes import Causes, ChangeParameterSet, SignalScale, coordinates_of
 from fmuid.diagnosis.faults import Fault, with_variants
 from fmuid.diagnosis.information_matrix import ChangePrior, Whitening
 from fmuid.diagnosis.linearized_machine import LinearizedMachine, residual_of
@@ -59,7 +59,8 @@ class BaselineComparator:
         scale = {name: math.sqrt(value) for name, value in variance.items()}
         alone = Causes(None, None, None, None, None, None, None)
         lines = None if baseline.records or baseline.shown is None else baseline.shown.lines
-        coordinates = coordinates_of(system, baseline.common, faults, first, scale, causes or alone, lines)
+        sizes = SignalScale(scale, lines)
+        coordinates = coordinates_of(system, baseline.common, faults, first, sizes, causes or alone)
         known, drift = _of_result(baseline, coordinates)
         noise = Whitening({name: baseline.noise(name, value) for name, value in variance.items()})
         learned = all(name in baseline.result.fit.output_noise for name in variance)

@@ -228,22 +228,28 @@ class ChangeParameterSet:
         ]
 
 
+@dataclass(frozen=True)
+class SignalScale:
+    """Sizes of signals; usual sizes of causes are shares of them."""
+
+    noise: Mapping[str, float]  # standard deviation of each output's noise
+    lines: tuple[float, float] | None = None  # `line_scale` of the baseline; default: of the experiment
+
+
 def coordinates_of(
     system: System,
     nominal: Mapping[str, Parameter],
     faults: Mapping[str, Fault],
     experiment: Experiment,
-    noise: Mapping[str, float],
+    scale: SignalScale,
     causes: Causes,
-    lines: tuple[float, float] | None = None,
 ) -> ChangeParameterSet:
-    """Return the coordinates of a machine; `noise` is the standard deviation of each output's noise.
-
-    `lines` is the `line_scale` of the baseline; default: of the experiment.
-    """
+    """Return the coordinates of a machine over an experiment."""
     each, found, healthy = list[ChangeParameter](), list[Cause](), list[float]()
-    made = [*_of_machine(system, nominal, causes), *_of_faults(faults), *_of_sensors(system, experiment, noise, causes)]
-    for asked in [*made, *_of_inputs(experiment, causes), *_of_lines(experiment, causes, lines or line_scale(experiment))]:
+    made = [*_of_machine(system, nominal, causes), *_of_faults(faults)]
+    made += [*_of_sensors(system, experiment, scale.noise, causes), *_of_inputs(experiment, causes)]
+    made += _of_lines(experiment, causes, scale.lines or line_scale(experiment))
+    for asked in made:
         of, size = asked.of, asked.size
         if of.kind in (CauseKind.INPUT_GAIN, *LINE_KINDS) and of.quantity in nominal:
             continue  # a parameter of the machine

@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -131,14 +132,30 @@ class _Model:
         self.values = {name: value for name, value in self.values.items() if name not in details}
         given = experiment.observation
         self.base = {} if given is None else dict(zip(given.names, given.values, strict=True))
-        self._simulators: dict[tuple[float, ...], Simulator] = {}
         self._like: Simulator | None = None
 
     def over(self, experiment: Experiment) -> _Model:
         other = copy(self)
-        other.experiment, other._simulators = experiment, {}
-        other._like = next(iter(self._simulators.values()), self._like)
+        other.experiment, other._like = experiment, other.__dict__.pop("simulator", self._like)
         return other
+
+    @cached_property
+    def simulator(self) -> Simulator:
+        own = self.experiment if self.fault is None else self.fault.renamed(self.experiment)
+        if self._like is not None:
+            return self._like.over(own)
+        return refined(Simulator(self.system, own, self.parameters, values=self.values), self.system, self.refinement)
+
+    def input_gains(self, point: Floats) -> Floats | None:
+        """Return factors of the inputs (n_inputs,); None for ones."""
+        if not point[self.gains].any():
+            return None
+        names = [self.coordinates.each[i].variable for i in self.gains]
+        names = names if self.fault is None else list(self.fault.own_names(dict.fromkeys(names)))
+        own = self.simulator.experiment.input_names
+        gains = np.ones(len(own))
+        gains[[own.index(name) for name in names]] += point[self.gains]
+        return gains
 
     def there(self, point: Floats) -> bool:
         """Return whether the model adds to the outputs: the healthy one, or a fault that is not zero."""
@@ -152,17 +169,15 @@ class _Model:
         All have K rows. A guess of the currents spares simulations.
         """
         steps = {i: self._offsets(point, i) for i in wanted}
-        observed = self._simulator(point).observed
+        observed = self.simulator.observed
         if observed is not None and observed.map.given.voltages:
-            return self._observed(observed, point, steps, currents)
-        of_theta = [i for i in steps if i not in self.gains]
-        outputs = self.simulate(_moved(point, {i: steps[i] for i in of_theta}))
-        slopes = _slopes(outputs[0], outputs[1:], {i: steps[i] for i in of_theta})
-        for i in self.gains:
-            if i in wanted:
-                own = {i: steps[i]}
-                moved = np.array([self.simulate(each[None])[0] for each in _moved(point, own)[1:]])
-                slopes |= _slopes(outputs[0], moved, own)
+            return self._observed(replace(observed, gains=self.input_gains(point)), point, steps, currents)
+        inner = {i: pair for i, pair in steps.items() if i not in self.gains}
+        outputs = self.simulate(_moved(point, inner))
+        slopes = _slopes(outputs[0], outputs[1:], inner)
+        for i, pair in ((i, steps[i]) for i in self.gains if i in steps):
+            moved = np.concatenate([self.simulate(each[None]) for each in _moved(point, {i: pair})[1:]])
+            slopes |= _slopes(outputs[0], moved, {i: pair})
         return outputs[0], slopes, None
 
     def _observed(
@@ -173,7 +188,7 @@ class _Model:
         guess: Floats | None,
     ) -> tuple[Floats, dict[int, Floats], Floats]:
         """Linearize around one fixed point of the drops; derivatives first at its drops, then by their change."""
-        own, theta = self._simulator(point).own, np.array(self._theta(point))
+        own, theta = self.simulator.own, np.array(self._theta(point))
         (values,) = observed.quantities(theta[None])
         found, inputs = observed.driven(theta[own], values, guess)
         base = found.checked()[0]
@@ -185,7 +200,7 @@ class _Model:
             thetas = np.array([self._theta(each) for each in _moved(point, inner)[1:]])
             slopes |= _slopes(base, observed.simulate(np.ascontiguousarray(thetas[:, own]), inputs).checked(), inner)
         for i, pair in outer.items():
-            moved = [self._inputs(observed, each, point, (currents, inputs)) for each in _moved(point, {i: pair})[1:]]
+            moved = [self._inputs(observed, each, currents) for each in _moved(point, {i: pair})[1:]]
             each = np.concatenate([observed.simulate(theta[None, own], one).checked() for one in moved])
             slopes |= _slopes(base, each, {i: pair})
         if values[observed.map.has_drop].any():
@@ -194,18 +209,11 @@ class _Model:
         whole = observed.changes(np.stack([np.zeros_like(base), *slopes.values()]), values)[1:]
         return observed.seen(base, values), dict(zip(slopes, whole, strict=True)), currents
 
-    def _inputs(self, observed: ObservedModel, moved: Floats, point: Floats, base: tuple[Floats, Floats]) -> Floats:
+    def _inputs(self, observed: ObservedModel, moved: Floats, currents: Floats) -> Floats:
         """Return the inputs at a moved point, with unchanged drops."""
-        currents, inputs = base
         (values,) = observed.quantities(np.array(self._theta(moved))[None])
-        found = observed.inputs(observed.map.lines(values) - observed.map.drop(values, currents))
-        for i in self.gains:
-            if moved[i] != point[i]:
-                name = self.coordinates.each[i].variable
-                (name,) = (name,) if self.fault is None else self.fault.own_names({name: 0.0})
-                j = observed.experiment.input_names.index(name)
-                found[:, j] = inputs[:, j] * (1.0 + moved[i]) / (1.0 + point[i])
-        return found
+        driven = replace(observed, gains=self.input_gains(moved))
+        return driven.inputs(observed.map.lines(values) - observed.map.drop(values, currents))
 
     def _offsets(self, point: Floats, i: int) -> tuple[float, float]:
         """Return the two steps of a difference, one-sided beside a bound."""
@@ -216,24 +224,12 @@ class _Model:
 
     def simulate(self, points: Floats) -> Floats:
         """Return the outputs (m, K, n_outputs) at points with equal input gains."""
-        batch = self._simulator(points[0]).many(np.array([self._theta(point) for point in points]))
-        for error in batch.errors:
-            if error is not None:
-                raise error
-        return np.asarray(batch.outputs)
-
-    def _simulator(self, point: Floats) -> Simulator:
-        gains = tuple(point[self.gains].tolist())
-        if gains not in self._simulators:
-            names = [self.coordinates.each[i].variable for i in self.gains]
-            driven = _driven(self.experiment, dict(zip(names, gains, strict=True)))
-            own = driven if self.fault is None else self.fault.renamed(driven)
-            if self._like is not None:
-                self._simulators[gains] = self._like.over(own)
-            else:
-                made = Simulator(self.system, own, self.parameters, values=self.values)
-                self._simulators[gains] = refined(made, self.system, self.refinement)
-        return self._simulators[gains]
+        thetas, gains = np.array([self._theta(point) for point in points]), self.input_gains(points[0])
+        if gains is None:
+            return self.simulator.many(thetas).checked()
+        if self.simulator.observed is not None:
+            return replace(self.simulator.observed, gains=gains).readings(thetas, self.simulator.own).checked()
+        return self.simulator.driven_by(thetas, self.simulator.experiment.input_values * gains).checked()
 
     def _theta(self, point: Floats) -> list[float]:
         """Return the model's parameters at a point; a vector of the plane becomes a size with its angle."""
@@ -280,21 +276,6 @@ def residual_and_columns(machine: LinearizedMachine, point: Floats) -> Floats:
     outputs, columns = machine.linearize(point)
     residual = residual_of(machine.experiment, outputs)
     return np.concatenate([residual[:, :, None], columns], axis=2)
-
-
-def _driven(experiment: Experiment, gains: Mapping[str, float]) -> Experiment:
-    """Return an experiment with its inputs off by these shares."""
-    off = {name: gain for name, gain in gains.items() if gain}
-    if not off:
-        return experiment
-    frame = experiment.frame.copy(deep=False)
-    inputs = {name: experiment.columns[name] for name in experiment.input_names}
-    for name, gain in off.items():
-        # a column of its own: another variable may read the one that is scaled
-        column = f"{inputs[name]} as {name}"
-        frame[column], inputs[name] = (1.0 + gain) * experiment.frame[inputs[name]], column
-    frame.attrs = dict(experiment.frame.attrs)
-    return replace(experiment, frame=frame, inputs=inputs)
 
 
 def _rate(times: Floats, values: Floats) -> Floats:

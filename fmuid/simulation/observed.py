@@ -66,6 +66,8 @@ class ObservedModel:
         Of theta: variables of the model and quantities of the map.
     fixed : (q,) array
         Values of all quantities that are not in theta.
+    gains : (n_inputs,) array, optional
+        Factors of inputs that are no voltages.
     """
 
     experiment: Experiment
@@ -73,6 +75,7 @@ class ObservedModel:
     simulate: Simulate
     names: tuple[str, ...]
     fixed: Floats
+    gains: Floats | None = None
 
     @property
     def nominal_inputs(self) -> Floats:
@@ -103,7 +106,8 @@ class ObservedModel:
         _, first, back = np.unique(keys, axis=0, return_index=True, return_inverse=True)
         back = back.ravel()
         if (values[:, self.map.of_inputs] == self.nominal_inputs).all():
-            found = self.simulate(np.ascontiguousarray(thetas[first][:, own]), None)
+            inputs = None if self.gains is None else self.experiment.input_values * self.gains
+            found = self.simulate(np.ascontiguousarray(thetas[first][:, own]), inputs)
             return found.outputs[back], tuple(found.errors[i] for i in back.tolist())
         each = [self.driven(thetas[i, own], values[i])[0] for i in first.tolist()]
         return np.concatenate([one.outputs for one in each])[back], tuple(each[i].errors[0] for i in back.tolist())
@@ -136,7 +140,7 @@ class ObservedModel:
 
     def inputs(self, lines: Floats) -> Floats:
         """Return the inputs (K, n_inputs) with voltages of lines (K, 3)."""
-        found = np.array(self.experiment.input_values)
+        found = self.experiment.input_values * (1.0 if self.gains is None else self.gains)
         found[:, [self.experiment.input_names.index(name) for name in self.map.given.voltages]] = self.map.axes(lines)
         return found
 

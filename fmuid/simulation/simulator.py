@@ -200,7 +200,7 @@ class Simulator:
         fixed = dict(zip(made.given.names, made.given.values, strict=True))
         fixed |= {name: float(value) for name, value in self._values.items() if name in fixed}
         return ObservedModel(
-            self.experiment, made, self._driven, self.parameters, np.array(list(fixed.values()), np.float64)
+            self.experiment, made, self.driven_by, self.parameters, np.array(list(fixed.values()), np.float64)
         )
 
     def model_at(self, theta: Floats) -> Simulator:
@@ -220,7 +220,7 @@ class Simulator:
             return changes
         return self.observed.changes(changes, self.observed.quantities(theta[None])[0])
 
-    def _driven(self, thetas: Floats, inputs: Floats | None) -> Simulations:
+    def driven_by(self, thetas: Floats, inputs: Floats | None) -> Simulations:
         """Simulate thetas (m, N) of the model, with other inputs if given."""
         if inputs is None:
             return self._simulate(self._simulation, self._of_own(thetas), thetas)

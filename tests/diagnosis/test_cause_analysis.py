@@ -16,7 +16,7 @@ import fmuid
 from fmuid import InputError
 from fmuid.apps.cli.app import run
 from fmuid.diagnosis import MODEL_ERROR, CauseKind, Causes, CauseScale, ChangeEvidence
-from fmuid.diagnosis.causes import ChangeParameterSet, coordinates_of
+from fmuid.diagnosis.causes import ChangeParameterSet, SignalScale, coordinates_of
 from fmuid.diagnosis.linearized_machine import LinearizedMachine
 from fmuid.reports.topics.diagnosis import verdict
 from tests.support.closed_forms import coil_response
@@ -65,7 +65,7 @@ def faults() -> dict[str, fmuid.Fault]:
 
 @pytest.fixture(scope="module")
 def coordinates(coil: fmuid.System, faults: dict[str, fmuid.Fault]) -> ChangeParameterSet:
-    return coordinates_of(coil, NOMINAL, faults, experiment(current()), {"i": NOISE}, Causes())
+    return coordinates_of(coil, NOMINAL, faults, experiment(current()), SignalScale({"i": NOISE}), Causes())
 
 
 ORDER = ("R", "L", "turns", "gain", "offset", "delay", "input_gain")

@@ -105,6 +105,23 @@ def test_names_over_draws(draws: int) -> None:
     assert np.mean([("1", "2") in each for each in named(0.0, 10.0, 10.0)]) >= 0.95
 
 
+def test_a_heavy_cause_may_be_far_larger_than_usual() -> None:
+    """Of twenty usual sizes, weights 1, 1/3 and 1/10 of three scales leave more than one scale does."""
+    plain = Cause("one", (0,), 0.1)
+    news = ScoreStatistics(np.array([[100.0]]), np.array([200.0]))
+    alone = [log_bayes_factor(news, [replace(plain, size=0.1 * scale)]) for scale in (1.0, 3.0, 10.0)]
+    found = log_bayes_factor(news, [replace(plain, heavy=True)])
+    assert found == pytest.approx(np.log(np.exp(alone) @ (1.0, 1 / 3, 0.1) / (1 + 1 / 3 + 0.1)))
+    assert found > alone[0] + 50.0
+
+
+def test_an_excluded_cause_is_not_named() -> None:
+    information, causes = causes_of(0.0, 0.3)
+    news = ScoreStatistics(information, information @ np.array([9.0, 0.0, 0.0]))
+    assert name(news, causes, 0.01).named[0].names == ("0",)
+    assert [each.names for each in name(news, causes, 0.01, without={("0",)}).named][:1] == [("1",)]
+
+
 def test_a_sensor_has_no_model_error() -> None:
     """A weak fault at a right angle to a strong sensor: both named; the sensor's effect is known."""
     information, causes = causes_of(0.0, math.pi / 2)

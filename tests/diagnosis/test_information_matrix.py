@@ -28,6 +28,7 @@ def test_changes_are_generalized_least_squares() -> None:
     weighted = linalg.solve(whole, np.column_stack([jacobian, residual - jacobian @ known.mean]))
     assert news.information * SCALE == pytest.approx(jacobian.T @ weighted[:, :4] * SCALE, rel=1e-9)
     assert news.score * UNITS == pytest.approx(jacobian.T @ weighted[:, 4] * UNITS, rel=1e-8)
+    assert news.squares == pytest.approx((residual - jacobian @ known.mean) @ weighted[:, 4], rel=1e-9)
 
 
 def test_prior_after_a_healthy_record() -> None:

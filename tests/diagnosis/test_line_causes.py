@@ -10,7 +10,7 @@ import pytest
 
 import fmuid
 from fmuid.diagnosis import Causes
-from fmuid.diagnosis.causes import ChangeParameterSet, coordinates_of
+from fmuid.diagnosis.causes import ChangeParameterSet, SignalScale, coordinates_of
 from fmuid.diagnosis.linearized_machine import LinearizedMachine
 from tests.support.winding_machine import MACHINE, STUDY_AXES, record
 
@@ -45,7 +45,7 @@ def experiment(seed: int = 0, count: int = 600, noise: float = 0.0, **errors: An
 @cache
 def coordinates() -> ChangeParameterSet:
     noise = {"ia": NOISE, "ib": NOISE}
-    return coordinates_of(system(), NOMINAL, rotor(), experiment(), noise, Causes())
+    return coordinates_of(system(), NOMINAL, rotor(), experiment(), SignalScale(noise), Causes())
 
 
 def test_each_line_and_sensor_is_a_cause() -> None:
