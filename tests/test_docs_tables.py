@@ -34,7 +34,7 @@ VARIANTS: Mapping[str, tuple[str, ...]] = {
     "`Time (ms)`, `time_ms`, `t [min]`": ("Time (ms)", "time_ms", "min"),
     "dates, or times of the day": ("dates", "times of the day"),
     "times that jump back, or are shuffled": ("shuffled",),
-    "`w (rpm)`, `ids [mA]`, a row of units below the header": ("w (rpm)", "i [mA]", "unit row"),
+    "`w (rpm)`, `ids [mA]`, `U/V`, a row of units below the header": ("w (rpm)", "i [mA]", "u/V", "unit row"),
     "missing samples of an output: empty cells, `-`, `NaN`": ("missing: empty", "missing: -", "missing: NaN"),
 }
 """Rows whose files are written and read in `tests.data.test_table_variants`, by the names that they have there."""

@@ -53,6 +53,7 @@ from .readers.text import first_lines as first_lines
 from .readers.text import head_length as head_length
 from .responses import DECIBEL as DECIBEL
 from .responses import DEGREE as DEGREE
+from .responses import RESPONSE_FORMS as RESPONSE_FORMS
 from .responses import FrequencyExperiment as FrequencyExperiment
 from .responses import Response as Response
 from .sensor_map import SensorMap as SensorMap

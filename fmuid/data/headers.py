@@ -49,6 +49,14 @@ _WITH_UNIT = re.compile(
     r"(?P<name>.*?\S)(?P<gap>\s*)(\((?P<round>[^()]*(\([^()]*\)[^()]*)*)\)|\[(?P<square>[^\[\]]*)\])"
 )
 _AFTER_WORD = re.compile(r"(?P<name>.*\S)(?:,? in | ?/ |, )(?P<unit>\S.*)")
+_AFTER_SLASH = re.compile(r"(?P<name>[^/]*[^/\s])/(?P<unit>[^/\s]+|rad/s|1/min)")
+_SLASH_UNITS = {
+    "s", "ms", "µs", "us", "min", "h", "Hz", "kHz", "V", "mV", "kV", "A", "mA", "kA", "Ohm", "ohm", "Ω", "mOhm", "W",
+    "kW", "deg", "°", "rad", "rpm", "rad/s", "1/min", "N", "Nm", "N.m", "°C", "degC",
+}  # fmt: skip
+"""Units after a slash without spaces, as in DIN 1313; other slashes are ratios."""
+_RATES, _RATIOS = re.compile(r"([mk]?m|rad|deg|°|U|k?g|[lL]|1|rev)/(s|min|h)"), re.compile(r"m?[VA]|[WN]")
+"""Headers, and names before a slash, that are units."""
 _ALTERED = re.compile(
     r"[kmµun]?(V|A|W|Hz|Nm|N|Pa|bar)([_ ]?(eff|rms|RMS|pk|pp|ac|dc|AC|DC|avg|peak|mean|p-p|x?\d+))", re.ASCII
 )
@@ -111,7 +119,7 @@ class TableHeader:
 
 
 def split_header(header: str) -> tuple[str, str | None]:
-    """Return name and unit of a header: ``w (rpm)``, ``ids [mA]``, ``U / V``, ``n in 1/min``, but not ``der(y)``.
+    """Return name and unit of a header: ``w (rpm)``, ``U / V``, ``t/s``, ``n in 1/min``, but not ``der(y)``.
 
     Brackets that hold no known unit but look like one are units, too: their column is refused where it is used.
     """
@@ -121,8 +129,12 @@ def split_header(header: str) -> tuple[str, str | None]:
         return header, header[3:]
     if found is None:
         words = _AFTER_WORD.fullmatch(header)
-        known = words is not None and (is_unit(words["unit"]) or words["unit"].startswith(("1/", "min")))
-        return (words["name"], words["unit"]) if words is not None and known else (header, None)
+        if words is not None and (is_unit(words["unit"]) or words["unit"].startswith(("1/", "min"))):
+            return words["name"], words["unit"]
+        words = _AFTER_SLASH.fullmatch(header)
+        if words is None or words["unit"] not in _SLASH_UNITS or _RATES.fullmatch(header):
+            return header, None
+        return (header, None) if _RATIOS.fullmatch(words["name"]) else (words["name"], words["unit"])
     unit = (found["round"] if found["round"] is not None else found["square"]).strip()
     if found["name"] == "der" or (not found["gap"] and _INDEX.fullmatch(unit)):
         return header, None

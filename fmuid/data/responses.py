@@ -18,7 +18,7 @@ from fmuid.errors import InputError
 
 DEGREE, DECIBEL = math.pi / 180.0, math.log(10.0) / 20.0
 """Of phases and decibels, the relative change of a response in one."""
-FORMS = (("real", "imaginary"), ("magnitude", "phase"), ("decibel", "phase"))
+RESPONSE_FORMS = (("real", "imaginary"), ("magnitude", "phase"), ("decibel", "phase"))
 """Pairs of columns of a response; each may be alone."""
 
 
@@ -42,6 +42,8 @@ class Response:
     """column of the phase, degrees"""
     delay: Annotated[float, Ge(0)] = 0.0
     """delay of the measured response, s"""
+    conjugate: bool = False
+    """the sign of imaginary part or phase is reversed, as in spectra of batteries: −Im"""
 
     def __post_init__(self) -> None:
         parts = [part.strip() for part in self.of.split("/")]
@@ -49,7 +51,7 @@ class Response:
             raise InputError(f'of = {self.of!r} is no ratio. Write it as "u / i".')
         if not self.columns:
             raise InputError("no column. Name real and imaginary, or magnitude or decibel, and phase.")
-        if not any(set(self.columns) <= set(form) for form in FORMS):
+        if not any(set(self.columns) <= set(form) for form in RESPONSE_FORMS):
             named = " and ".join(self.columns)
             raise InputError(f"{named} cannot be combined. Name real and imaginary, or a magnitude and phase.")
         if len(set(self.columns.values())) < len(self.columns):

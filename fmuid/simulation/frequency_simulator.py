@@ -105,6 +105,7 @@ class FrequencySimulator(PointSimulator):
             column = self.seeds.index(self._excitations[name])
             above, below = (self._signal(each, transfer[..., column]) for each in response.signals)
             values = above / below * np.exp(-1j * self.angular * response.delay)
+            values = np.conj(values) if response.conjugate else values
             for part in response.columns:
                 output = self.output_names.index(f"{name}.{part}")
                 found[..., output] = self._part(self.output_names[output], values)

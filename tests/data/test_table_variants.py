@@ -13,6 +13,7 @@ import pandas as pd
 import pytest
 
 from fmuid import Experiment, InputError, read_data
+from fmuid.data.headers import split_header
 from tests.support.table_variants import FRAME, MS, SAID, TEXTS, text, writers
 
 U, W = (FRAME[name].to_numpy() for name in "uw")
@@ -226,3 +227,24 @@ def test_two_header_rows_of_pandas(tmp_path: Path, name: str) -> None:
     frame = read_data(tmp_path / "a.csv")
     assert [*frame.columns] == ["time", "u", "w"]
     np.testing.assert_array_equal(frame["w"], W)
+
+
+@pytest.mark.parametrize(
+    ("header", "name", "unit"),
+    [
+        ("t/s", "t", "s"),
+        ("U/V", "U", "V"),
+        ("-Im(Z)/Ohm", "-Im(Z)", "Ohm"),
+        ("n/1/min", "n", "1/min"),
+        ("w in rad/s", "w", "rad/s"),
+        ("m/s", "m/s", None),
+        ("rad/s", "rad/s", None),
+        ("mV/V", "mV/V", None),
+        ("du/dt", "du/dt", None),
+        ("Is/In", "Is/In", None),
+        ("date/time", "date/time", None),
+    ],
+)
+def test_a_unit_after_a_slash(header: str, name: str, unit: str | None) -> None:
+    """DIN 1313 writes units after a slash; rates and ratios are names."""
+    assert split_header(header) == (name, unit)

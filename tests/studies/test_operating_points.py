@@ -115,6 +115,10 @@ def test_a_drafted_study_identifies_as_it_is(
         ("frequency", "freq,Zd_re,Zd_im", {"frequency": "freq", "Zd.real": "Zd_re", "Zd.imaginary": "Zd_im"}),
         ("frequency", "w (rad/s),gain (dB),arg (deg)", {"gain.decibel": "gain (dB)", "gain.phase": "arg"}),
         ("frequency", "f,Re,Im", {"Z.real": "Re", "Z.imaginary": "Im"}),
+        ("frequency", "freq/Hz,Re(Z)/Ohm,-Im(Z)/Ohm,|Z|/Ohm", {"Z.real": "Re(Z)", "Z.imaginary": "-Im(Z)"}),
+        ("frequency", "Freq,Zreal,Zimag,Zmod,Zphz", {"Z.real": "Zreal", "Z.imaginary": "Zimag"}),
+        ("frequency", "Frequency (Hz),Z' (Ohm),-Z'' (Ohm)", {"Z.real": "Z'", "Z.imaginary": "-Z''"}),
+        ("frequency", "f,temperature,|G| (dB),Phase/°", {"G.decibel": "|G| (dB)", "G.phase": "Phase"}),
     ],
 )
 def test_columns_without_a_time_are_matched(folder: Path, kind: str, head: str, expected: dict[str, str]) -> None:
@@ -129,6 +133,25 @@ def test_columns_without_a_time_are_matched(folder: Path, kind: str, head: str, 
         assert record.settings.frame is not None and record.settings.frame.pole_pairs == (
             60 if "frequency" in found else 2
         )
+
+
+def test_a_spectrum_with_reversed_sign_is_one(folder: Path) -> None:
+    """Batteries' spectra have −Im: the same estimates."""
+    table = pd.read_csv(folder / "spectrum.csv")
+    impedance = table["|Z| (Ohm)"] * np.exp(1j * np.radians(table["phi (deg)"]))
+    parts = {
+        "freq/Hz": table["f (Hz)"],
+        "Re(Z)/Ohm": impedance.to_numpy().real,
+        "-Im(Z)/Ohm": -impedance.to_numpy().imag,
+    }
+    pd.DataFrame(parts).to_csv(folder / "spectrum.csv", index=False)
+    records = match_data_files(folder / "Coil.fmu", [folder / "spectrum.csv"], InitOptions(kind="frequency"))
+    text = draft(folder / "Coil.fmu", records, folder / "new.toml").text
+    assert "conjugate = true" in text
+    found = fmuid.run(study_of(folder, text.replace("start = 4.0", "start = 6.0")), folder / "out")
+    assert dict(zip(found.result.names, found.result.values, strict=True)) == pytest.approx(
+        {"L": 0.1, "R": 4.0}, rel=1e-6
+    )
 
 
 @pytest.mark.parametrize("text", [STEADY, SPECTRUM])

@@ -50,7 +50,7 @@ SCENES = {
     "gain 3 %": Scene((ErrorKind.GAIN,), 0.03, sensed=lambda _, axes: axes * [1.03, 1.0]),
     "dead 1.5 V": Scene((ErrorKind.DEAD_TIME,), math.inf, machine={"dead_time": 1.5}),
     "dead 7 V": Scene((ErrorKind.DEAD_TIME,), math.inf, machine={"dead_time": 7.0}),
-    "saturation 5 %": Scene(MAIN, math.inf, has_truth=False, machine={"saturation": 0.05}),
+    "saturation 5 %": Scene(MAIN, 0.05, has_truth=False, machine={"saturation": 0.05}),
     "saturation 15 %": Scene(MAIN, math.inf, has_truth=False, machine={"saturation": 0.15}),
     "fixed": Scene((ErrorKind.FIXED,), 1.0 / 1.3 - 1.0, fixed={"Rr": 1.3 * MACHINE["Rr"]}),
 }

@@ -171,6 +171,7 @@ TEXTS: dict[str, tuple[str, str | bytes]] = {
     "w[n/min]": ("a.csv", text("time,u,i,w[n/min]", frame=IN_RPM)),
     "w_rpm": ("a.csv", text("time,u,i,w_rpm", frame=IN_RPM)),
     "i [mA]": ("a.csv", text("time,u,i [mA],w", frame=IN_MA)),
+    "u/V": ("a.csv", text("time/s,u/V,i/A,w")),
     "i_mA": ("a.csv", text("time,u,i_mA,w", frame=IN_MA)),
     "u (mV)": ("a.csv", text("time,u (mV),i,w", frame=FRAME.assign(u=1000 * FRAME["u"]))),
     "u in kV": ("a.csv", text("time,u [kV],i,w", frame=FRAME.assign(u=FRAME["u"] / 1000))),

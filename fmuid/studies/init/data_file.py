@@ -170,12 +170,14 @@ class MatchedDataFile:
         """Keys of an experiment without a time that columns show."""
         own = self.roles("frame")
         if self.asked.kind == "frequency":
-            responses: dict[str, dict[str, str]] = {}
+            responses: dict[str, dict[str, Any]] = {}
             for link in (each for each in self.links if each.role == "response"):
                 name, _, part = link.variable.rpartition(".")
                 unit = link.column_unit if part not in ("phase", "decibel") else None
                 known = responses.setdefault(name, {"of": ratio_of(unit, self.description)})
                 known[part] = link.column or ""
+                if part in ("imaginary", "phase") and known[part].startswith("-"):
+                    known["conjugate"] = True
             return {"frequency": own.get("frequency", "frequency"), "responses": responses}
         if not own:
             return {}

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
+from fmuid.data import RESPONSE_FORMS
 from fmuid.studies.init.column_matching import ColumnMatch, MatchReason, of_tables
 from fmuid.units import parse_unit
 
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
 
 # Usual columns of each quantity, in English and German.
 _SUPPLY = {
-    "frequency": "f freq frequency frequenz",
+    "frequency": "f freq frequency frequenz hz",
     "voltage": "u us u1 v vs v1 uph vph voltage spannung",
     "line_voltage": "ull vll uline vline linevoltage",
     "slip": "s slip schlupf",
@@ -32,11 +33,21 @@ _FORMULAS = {
 _PARTS = {
     "real": "real re",
     "imaginary": "imaginary imag im",
-    "magnitude": "magnitude mag abs gain modulus betrag",
+    "magnitude": "magnitude mag abs gain mod modulus betrag",
     "decibel": "decibel db",
-    "phase": "phase phi arg angle winkel",
+    "phase": "phase phi arg angle winkel phz",
 }
-_PART = re.compile(rf"(.*?)[\W_]*({'|'.join(' '.join(_PARTS.values()).split())})[\W_]*", re.IGNORECASE)
+_WORDS = "|".join(" ".join(_PARTS.values()).split())
+_PART = tuple(
+    re.compile(text)
+    for text in (
+        rf"(?P<name>\w{{0,3}}?|.*?[\W_])(?i:(?P<part>{_WORDS}))\)?",  # Zd_re, Zreal
+        rf"(?i:(?P<part>{_WORDS}))[\s_(]*(?P<name>[A-Z]\w*)\)?",  # Re(Z), ReZ
+        r"(?P<name>\w+)(?P<part>'{1,2})(\(\w\))?",  # Z', Z''
+        r"(?P<name>)(?P<part>Rs?|Xs?)",
+    )
+)
+_MARKS = {"'": "real", "''": "imaginary", "R": "real", "Rs": "real", "X": "imaginary", "Xs": "imaginary"}
 _BARS = re.compile(r"\|(.+)\|")
 SUPPLY_FREQUENCY = 50.0
 """Hz, of a supply without a column."""
@@ -55,16 +66,20 @@ def supply_columns(columns: Iterable[str]) -> Iterator[ColumnMatch]:
 
 
 def response_columns(columns: Sequence[str], units: Mapping[str, str]) -> Iterator[ColumnMatch]:
-    """Yield the columns of the frequency and of responses."""
+    """Yield the columns of frequency and responses, each in one form."""
     first = next((each for each in columns if _is_frequency(each, units.get(each))), None)
     if first is not None:
         yield ColumnMatch("frequency", "frame", first, MatchReason.QUANTITY, "Hz", units.get(first))
-    others = ((column, _part(column, units.get(column))) for column in columns if column != first)
+    others = ((column, _part(column.removeprefix("-"), units.get(column))) for column in columns if column != first)
     parts = [(column, *found) for column, found in others if found is not None]
     names = [name for _, name, _ in parts if name] or [UNNAMED]
+    responses: dict[str, dict[str, str]] = {}
     for column, name, part in parts:
-        own = name or names[0]
-        yield ColumnMatch(f"{own}.{part}", "response", column, MatchReason.QUANTITY, None, units.get(column))
+        responses.setdefault(name or names[0], {}).setdefault(part, column)
+    for name, own in responses.items():
+        form = max(RESPONSE_FORMS, key=lambda each: sum(part in own for part in each))
+        for part in (each for each in form if each in own):
+            yield ColumnMatch(f"{name}.{part}", "response", own[part], MatchReason.QUANTITY, None, units.get(own[part]))
 
 
 def ratio_of(unit: str | None, description: Description) -> str:
@@ -89,7 +104,8 @@ def _part(column: str, unit: str | None) -> tuple[str, str] | None:
     """Return name and part of a response's column, or None."""
     if (bars := _BARS.fullmatch(column)) is not None:
         return bars[1], "magnitude"
-    if (found := _PART.fullmatch(column)) is not None:
-        part = next(part for part, words in _PARTS.items() if found[2].casefold() in words.split())
-        return found[1].strip("|"), part
+    if (found := next((match for each in _PART if (match := each.fullmatch(column))), None)) is not None:
+        word = found["part"]
+        part = next((part for part, words in _PARTS.items() if word.casefold() in words.split()), None)
+        return found["name"].strip("|_ (-/"), part or _MARKS[word]
     return (column, "phase") if unit in ("deg", "rad") else None
