@@ -24,6 +24,12 @@ _DERIVED_UNITS = {
     "Ohm": "kg.m2.s-3.A-2",
     "H": "kg.m2.s-2.A-2",
     "Wb": "kg.m2.s-2.A-1",
+    "T": "kg.s-2.A-1",
+    "C": "s.A",
+    "F": "kg-1.m-2.s4.A2",
+    "S": "kg-1.m-2.s3.A2",
+    "Hz": "s-1",
+    "Pa": "kg.m-1.s-2",
 }
 _DISPLAY_UNITS = {"rad": ("deg", 180 / math.pi), "rad/s": ("rpm", 30 / math.pi), "m": ("mm", 1e3), "m/s": ("mm/s", 1e3)}
 """Unit -> display unit, and its number per unit."""

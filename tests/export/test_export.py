@@ -6,9 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
+from pint import UnitRegistry
 from scipy.integrate import solve_ivp
 
 from fmuid.export import build, export_fmu
+from fmuid.export.variables import _DERIVED_UNITS
 from tests.export.conftest import Exporter
 from tests.support.exported import running
 from tests.support.exporting import BASE, description, members, models
@@ -68,6 +70,22 @@ def test_units_in_base_units() -> None:
     machine = description(FMUS / "InductionMachine" / "InductionMachine.fmu")
     (rpm,) = (each for each in machine.iter("DisplayUnit") if each.get("name") == "rpm")
     assert 750 / float(rpm.get("factor", "")) == pytest.approx(750 * 2 * np.pi / 60)  # rad/s
+
+
+def test_derived_units_are_those_of_pint(exported: Exporter) -> None:
+    units = [*_DERIVED_UNITS, "F.V/s", "C/F"]
+    lines = [f'parameter Real p{k}(unit="{unit}") = 1;' for k, unit in enumerate(units)]
+    total = " + ".join(f"p{k}" for k in range(len(units)))
+    found = description(
+        exported(f"model Units {' '.join(lines)} Real x(start=0, fixed=true); equation der(x) = {total}; end Units;")
+    )
+    pint: UnitRegistry[float] = UnitRegistry()
+    names = {"kg": "kilogram", "m": "meter", "s": "second", "A": "ampere"}
+    for unit in (each for each in found.iter("Unit") if each.get("name") in units):
+        expected = pint.Quantity(1.0, str(unit.get("name")).replace(".", "*").replace("Ohm", "ohm")).to_base_units()
+        assert expected.magnitude == pytest.approx(1.0)
+        own = {names[key]: int(value) for key, value in unit[0].attrib.items()}
+        assert own == dict(expected.units._units)
 
 
 def dependencies(model: str) -> dict[str, dict[str, set[str]]]:
