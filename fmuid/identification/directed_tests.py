@@ -102,7 +102,7 @@ def whitened(noise: ResidualNoise, rows: Floats) -> Floats:
 def score_directions(rows: WhitenedRows, known: Sequence[int] = ()) -> list[DirectedTest]:
     """Test all directions beside the parameters and those already `known` (indices)."""
     fitted = np.hstack([rows.sensitivities, rows.columns[:, list(known)]])
-    basis = _basis(fitted)
+    basis = orthonormal_basis(fitted)
     residual = rows.residual - basis @ (basis.T @ rows.residual)
     left = rows.columns - basis @ (basis.T @ rows.columns)
     free = len(residual) - fitted.shape[1]
@@ -140,7 +140,7 @@ def score_directions(rows: WhitenedRows, known: Sequence[int] = ()) -> list[Dire
     return found
 
 
-def _basis(columns: Floats) -> Floats:
+def orthonormal_basis(columns: Floats) -> Floats:
     """Return an orthonormal basis of columns (n, k)."""
     u, s, _ = np.linalg.svd(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), full_matrices=False)
     return np.asarray(u[:, s > 1e-10 * s.max(initial=0.0)])
@@ -160,7 +160,7 @@ def _unweighted(rows: WhitenedRows, known: Sequence[int], among: Sequence[int]) 
     """Return unweighted scores of directions beside the parameters and those known."""
     first = 1 + len(rows.result.names)
     fitted = rows.raw[:, [*range(1, first), *(first + j for j in known)]]
-    basis = _basis(fitted)
+    basis = orthonormal_basis(fitted)
     columns = rows.raw[:, [first + j for j in among]]
     columns = columns - basis @ (basis.T @ columns)
     return np.asarray(columns.T @ rows.raw[:, 0] / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))

@@ -16,7 +16,7 @@ from scipy import special
 from fmuid.array_types import Floats, Indices
 from fmuid.data import ROW
 from fmuid.estimation import LeastSquares, Result
-from fmuid.identification.directed_tests import whitened
+from fmuid.identification.directed_tests import orthonormal_basis, whitened
 
 
 @dataclass(frozen=True)
@@ -51,39 +51,41 @@ def find_outlying_rows(problem: LeastSquares, result: Result) -> tuple[OutlyingR
     if not np.isfinite(result.std).all() or local.residual.size > SETTINGS.values:
         return ()
     rows = whitened(noise, np.column_stack([local.residual, local.jacobian @ local.root]))
-    left = np.eye(len(rows)) - rows[:, 1:] @ np.linalg.pinv(rows[:, 1:])
+    basis = orthonormal_basis(rows[:, 1:])
     places = problem.tables(np.arange(len(rows), dtype=np.float64))
     pairs = [each for each in zip(problem.experiments, places, strict=True) if each[0].kind != "time"]
     level, found = SETTINGS.level / sum(table.shape[1] for _, table in pairs), []
     for experiment, table in pairs:
         for output, column in zip(experiment.output_names, table.T, strict=True):
             at = np.flatnonzero(np.isfinite(column))
-            if own := list(_leave(left @ rows[:, 0], left, column[at].astype(np.intp), level)):
+            if own := list(_leave(rows[:, 0], basis, column[at].astype(np.intp), level)):
                 found.append(OutlyingRows(output, experiment.name, tuple(int(at[k]) for k, _ in own), own[0][1]))
     return tuple(found)
 
 
-def _leave(residual: Floats, left: Floats, own: Indices, level: float) -> Iterator[tuple[int, float]]:
-    """Yield places in `own` and sizes of outlying values, the worst first; `left` projects on what no column fits."""
-    gone, tested = list[tuple[int, float]](), 0
+def _leave(residual: Floats, basis: Floats, own: Indices, level: float) -> Iterator[tuple[int, float]]:
+    """Yield places in `own` and sizes of outlying values, the worst first; each joins what the basis (n, p) fits."""
+    residual = residual - basis @ (basis.T @ residual)
+    free = 1.0 - np.sum(basis[own] ** 2, axis=1)
+    stays, gone, outlying = np.ones(own.size, dtype=np.bool_), list[tuple[int, float]](), 0
     for _ in range(max(1, int(SETTINGS.most * own.size))):
-        among = [k for k in range(own.size) if k not in {each for each, _ in gone}]
-        free = np.maximum(left[own, own], 0.0)
-        rest = float(free[among].sum()) - 1.0
+        rest = float(free[stays].sum()) - 1.0
         if rest < SETTINGS.freedom:
             break
-        shift = np.where(free > 1e-6, residual[own] / np.where(free > 1e-6, free, 1.0), 0.0)
-        k = max(among, key=lambda each: shift[each] ** 2 * free[each])
-        others = np.array([each for each in among if each != k])
-        column = left[:, own[k]] / free[k]
-        residual = residual - column * residual[own[k]]
-        left = left - np.outer(column, left[own[k]])
-        noise = float(np.sum(residual[own[others]] ** 2)) / rest
-        size = abs(float(shift[k])) / max(noise, 1e-300) ** 0.5
-        gone.append((k, size))
-        if special.fdtrc(1.0, rest, size**2 * free[k]) * len(among) < level:
-            tested = len(gone)
-    yield from gone[:tested]
+        falls = np.where(stays & (free > 1e-6), residual[own] ** 2 / np.maximum(free, 1e-6), 0.0)
+        k, count = int(np.argmax(falls)), int(stays.sum())
+        fall, shift = float(falls[k]), float(residual[own[k]] / free[k])
+        column = -basis @ basis[own[k]]
+        column[own[k]] += 1.0
+        column /= np.linalg.norm(column)
+        residual = residual - column * (column @ residual)
+        basis, free = np.column_stack([basis, column]), free - column[own] ** 2
+        stays[k] = False
+        noise = float(np.sum(residual[own[stays]] ** 2)) / rest
+        gone.append((k, abs(shift) / max(noise, 1e-300) ** 0.5))
+        if special.fdtrc(1.0, rest, fall / max(noise, 1e-300)) * count < level:
+            outlying = len(gone)
+    yield from gone[:outlying]
 
 
 def repeated_shares(problem: LeastSquares) -> dict[str, float]:
