@@ -184,17 +184,18 @@ def ranked_excitations(
 
 def _variance(study: Study, excitation: Experiment) -> dict[str, float | Floats]:
     """Return the noise variance of each output; in proportion to simulated readings an array (K,)."""
-    known: dict[str, float | Floats] = {**study.known_variance}
-    for name in (each for each in excitation.output_names if each not in known):
-        word, level = study.noise.form(name)
+    known = study.known_variance
+    levels = {name: study.noise.form(name) for name in excitation.output_names if name not in known}
+    for name, (word, level) in levels.items():
         if word != "reading_std" or isinstance(level, str):
             raise InputError(f"{study.path}: noise: no level of {name!r}. Give its variance, std or reading_std.")
-        start = {key: each.start for key, each in _shared(study).items()}
-        outputs = simulator_of(study.system, excitation, tuple(start), study.model.values)(list(start.values()))
-        columns = [excitation.columns[each] for each in excitation.output_names]
-        readings = replace(excitation.with_columns(dict(zip(columns, outputs.T, strict=True))), measured=True)
-        known[name] = (level * readings.readings(name)) ** 2
-    return known
+    if not levels:
+        return {**known}
+    start = {key: each.start for key, each in _shared(study).items()}
+    outputs = simulator_of(study.system, excitation, tuple(start), study.model.values)(list(start.values()))
+    columns = [excitation.columns[each] for each in excitation.output_names]
+    simulated = replace(excitation.with_columns(dict(zip(columns, outputs.T, strict=True))), measured=True)
+    return known | {name: (level * simulated.readings(name)) ** 2 for name, (_, level) in levels.items()}
 
 
 def healthy_record_cost(study: Study, tables: Sequence[Path], fault: str, excitation: str) -> pd.DataFrame:

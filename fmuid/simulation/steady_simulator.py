@@ -79,7 +79,8 @@ class SteadySimulator(PointSimulator):
             if self._points is None:
                 signals, issue = self._settle(theta)
             else:
-                signals, issue, near = self._solve(self._points, theta, near)
+                signals, issue, near = self._solve(self._points, theta, near, first=not self._is_checked)
+                self._is_checked |= issue is None
             reasons.append("" if issue is None else f"row {issue[0] + 1}: {REASONS[issue[1]]}")
             if issue is None:
                 outputs[i] = self._outputs(signals)
@@ -89,8 +90,7 @@ class SteadySimulator(PointSimulator):
         """As of `PointSimulator`: an event, else one of several steady states."""
         if self._points is None:
             return None
-        self._is_checked = False
-        _, issue, _ = self._solve(self._points, theta, None)
+        _, issue, _ = self._solve(self._points, theta, None, first=True)
         if issue is None:
             return None
         row, found = issue
@@ -106,17 +106,16 @@ class SteadySimulator(PointSimulator):
         return found, None
 
     def _solve(
-        self, points: PointModel, theta: Floats, near: Floats | None
+        self, points: PointModel, theta: Floats, near: Floats | None, *, first: bool
     ) -> tuple[Floats, tuple[int, SteadyIssue] | None, Floats | None]:
-        """Return the signals (K, n), an issue, and states near by."""
+        """Return the signals (K, n), an issue, and states near by; `first` as of `first_issue`."""
         found = find_steady_states(points, theta, self._start(points, theta) if near is None else near)
         if near is not None and not found.found.all():
             found = find_steady_states(points, theta, self._start(points, theta))
         lost = ~found.found | (is_unstable(found.models) & (not self.experiment.guess))
         if lost.any():
             found = self._from_simulations(points, theta, found, lost)
-        issue = first_issue(points, theta, found, first=not self._is_checked, second=not self.experiment.guess)
-        self._is_checked |= issue is None
+        issue = first_issue(points, theta, found, first=first, second=not self.experiment.guess)
         return found.models.outputs[0], issue, found.states if issue is None else near
 
     def _start(self, points: PointModel, theta: Floats) -> Floats:

@@ -140,12 +140,13 @@ def _is_untouched(path: Path) -> bool:
 
 def _experiment(record: MatchedDataFile, output: Path, name: str, *, first: bool) -> list[str]:
     asked = record.asked
+    clock = "  # or the name of the time column: Time (ms), t, timestamp" if first else ""
     said = {"time_unit": asked.time_unit, "sample_rate": asked.sample_rate, "sheet": asked.sheet}
     return [
         "[[experiments]]" + ("  # repeat this section for each experiment" if first else ""),
         f"data = {toml_text(relative(record.path, output.parent))}",
         *([f"name = {toml_text(name)}"] if name else []),
-        *(_time(record, first=first) if record.in_time else [f"kind = {toml_text(asked.kind)}"]),
+        f"time = {toml_text(asked.time)}{clock}" if record.in_time else f"kind = {toml_text(asked.kind)}",
         *(f"{word} = {toml_text(value)}" for word, value in said.items() if value is not None),
         *(_role(record, "input") if not record.of_rows else []),
         *(_role(record, "output") if asked.kind != "frequency" else []),
@@ -157,11 +158,6 @@ def _experiment(record: MatchedDataFile, output: Path, name: str, *, first: bool
         *(['# for other column names: outputs = { fmu_variable = "column" }'] if first and record.in_time else []),
         *([_interpolation(record), example(ExperimentSettings, "warmup")] if record.in_time else []),
     ]
-
-
-def _time(record: MatchedDataFile, *, first: bool) -> list[str]:
-    remark = "  # or the name of the time column: Time (ms), t, timestamp" if first else ""
-    return [f"time = {toml_text(record.asked.time)}{remark}"]
 
 
 def _interpolation(record: MatchedDataFile) -> str:
