@@ -189,7 +189,7 @@ class Experiment(HtmlTableMixin):
         for role, columns in {"time": [self.time], "input": inputs.values(), "output": there.values()}.items():
             for column in columns:
                 if column not in frame.columns:
-                    known = [name for name in frame.columns if name not in self.made_columns]
+                    known = frame.columns.difference([*self.made_columns], sort=False)
                     said = missing_column(role, column, known, left_out=attributes.get(LEFT_OUT))
                     raise InputError(f"{source}: {said}")
         words = interpolation_words(source, self.interpolation, inputs)

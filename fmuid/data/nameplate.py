@@ -115,7 +115,7 @@ def _read(name: str, given: str | float) -> Printed:
         raise InputError(f'{name} = {text!r} is no printed number. Write it as "1.1 kW".')
     factor, said = 1.0, (found[4] or "").strip()
     if said and said != UNITS[name]:
-        if _APPARENT.search(said):
+        if name == "P" and _APPARENT.search(said):
             raise InputError(f"{name}: {said!r} is apparent power. Give the mechanical power in W.")
         own, wanted = parse_unit(said), parse_unit(UNITS[name])
         if own is None or wanted is None or own.exponents != wanted.exponents:

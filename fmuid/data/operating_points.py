@@ -123,10 +123,10 @@ def check_rows(experiment: Experiment, inputs: Mapping[str, str], quantities: It
         column = column_of(experiment.frame.columns, given)
         if column is None:
             role = name if name in quantities else "input"
-            remedy = f"Set {role} to its column." if name in quantities else "Name the right column."
-            known = [each for each in experiment.frame.columns if each not in experiment.made_columns]
-            left_out = experiment.frame.attrs.get(LEFT_OUT)
-            raise InputError(f"{source}: {missing_column(role, given, known, remedy, left_out)}")
+            remedy = f"Set {name} to its column." if name in quantities else "Name the right column."
+            known = experiment.frame.columns.difference([*experiment.made_columns], sort=False)
+            said = missing_column(role, given, known, remedy, experiment.frame.attrs.get(LEFT_OUT))
+            raise InputError(f"{source}: {said}")
         missing = np.flatnonzero(~np.isfinite(values := numeric_column(experiment.frame, column, source)))
         if missing.size:
             what = "empty" if np.isnan(values[missing[0]]) else "infinite"

@@ -99,13 +99,13 @@ class FrequencyExperiment(Experiment):
 
     def __post_init__(self) -> None:
         check_rows(self, {"frequency": self.frequency}, ("frequency",))
-        for column in (each.magnitude for each in self.responses.values() if each.magnitude is not None):
-            if column in self.frame and (below := numeric_column(self.frame, column, self.source) < 0.0).any():
-                said = f"{self.source}: magnitude {column!r} is negative in row {below.argmax() + 1}"
-                raise InputError(f"{said}. Use decibel for dB, or correct it.")
         self._set(frame=with_rows(self.frame), inputs={"frequency": self.frequency}, time=ROW, interpolation="zoh")
         self._set(outputs=response_columns(self.responses))
         super().__post_init__()
+        for name, values in zip(self.output_names, self.output_values.T, strict=True):
+            if self.part(name)[2] == "magnitude" and (below := values < 0.0).any():
+                said = f"{self.source}: magnitude {self.columns[name]!r} is negative in row {below.argmax() + 1}"
+                raise InputError(f"{said}. Use decibel for dB, or correct it.")
         for each in (one for one in self.responses.values() if {"real", "imaginary"} <= one.columns.keys()):
             parts = [numeric_column(self.frame, column, self.source) for column in each.columns.values()]
             if (half := np.logical_xor(*np.isnan(parts))).any():

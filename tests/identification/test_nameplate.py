@@ -92,6 +92,7 @@ def test_pole_pairs_follow_from_the_speed(n: float, f: float, pairs: int) -> Non
         ({"P": "1.1 kV"}, "P: unit 'kV' does not convert to 'W'"),
         ({"I": 0}, "I must be above 0"),
         ({"P": "1.1 kVA"}, "P: 'kVA' is apparent power. Give the mechanical power in W"),
+        ({"U": "400 VA"}, "U: unit 'VA' does not convert to 'V'"),
         ({"n": 0.02}, "n = 0.02 rpm is no rated speed|too near"),
         ({"n": 1530}, "n = 1530 rpm is no rated speed at 50 Hz"),
         ({"f": "60 Hz"}, "is no rated speed at 60 Hz"),
