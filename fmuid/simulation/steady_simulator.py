@@ -22,6 +22,8 @@ from fmuid.simulation.steady_state import (
     find_steady_states,
     first_issue,
     is_unstable,
+    other_starts,
+    settle,
 )
 from fmuid.units import parse_unit
 
@@ -74,7 +76,7 @@ class SteadySimulator(PointSimulator):
     def _compute(self, thetas: Floats) -> tuple[Floats, list[str]]:
         """Return outputs (m, K, n_outputs) of all rows, and reasons of failures."""
         outputs = np.full((len(thetas), len(self.experiment.times), len(self.output_names)), np.nan)
-        reasons, near = [], None
+        reasons, near = [], self._usual
         for i, theta in enumerate(thetas):
             if self._points is None:
                 signals, issue = self._settle(theta)
@@ -109,14 +111,25 @@ class SteadySimulator(PointSimulator):
         self, points: PointModel, theta: Floats, near: Floats | None, *, first: bool
     ) -> tuple[Floats, tuple[int, SteadyIssue] | None, Floats | None]:
         """Return the signals (K, n), an issue, and states near by; `first` as of `first_issue`."""
-        found = find_steady_states(points, theta, self._start(points, theta) if near is None else near)
-        if near is not None and not found.found.all():
+        found = None if near is None else settle(points, theta, near, by_newton=True)
+        if found is None or not found.found.all():
             found = find_steady_states(points, theta, self._start(points, theta))
         lost = ~found.found | (is_unstable(found.models) & (not self.experiment.guess))
         if lost.any():
             found = self._from_simulations(points, theta, found, lost)
-        issue = first_issue(points, theta, found, first=first, second=not self.experiment.guess)
+        starts = [] if self.experiment.guess else [self._usual, *other_starts(points, found.states)]
+        issue = first_issue(points, theta, found, first=first, starts=[each for each in starts if each is not None])
         return found.models.outputs[0], issue, found.states if issue is None else near
+
+    @cached_property
+    def _usual(self) -> Floats | None:
+        """Steady states (K, n_x) at the FMU's own parameters: Newton begins there."""
+        values = [self.system.variable(name, "parameter").start for name in self.parameters]
+        if self._points is None or not all(isinstance(value, int | float) for value in values):
+            return None
+        theta = np.array(values, dtype=np.float64)
+        found = find_steady_states(self._points, theta, self._start(self._points, theta))
+        return found.states if found.found.all() and not is_unstable(found.models).any() else None
 
     def _start(self, points: PointModel, theta: Floats) -> Floats:
         initial = points.initial(theta[None])

@@ -8,7 +8,7 @@ at once.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -63,16 +63,16 @@ class SteadyStates:
 
 def find_steady_states(model: PointModel, theta: Floats, start: Floats) -> SteadyStates:
     """Return the steady states from start (K, n_x); rows that end at none begin again at a neighbor's solution."""
-    found = _settle(model, theta, start)
+    found = settle(model, theta, start)
     if found.found.any() and not found.found.all():
         near = np.flatnonzero(found.found)
         nearest = near[np.abs(np.arange(len(start))[:, None] - near).argmin(axis=1)]
-        return _settle(model, theta, np.where(found.found[:, None], found.states, found.states[nearest]))
+        return settle(model, theta, np.where(found.found[:, None], found.states, found.states[nearest]))
     return found
 
 
-def _settle(model: PointModel, theta: Floats, start: Floats) -> SteadyStates:
-    """Iterate all rows, each with its own time step."""
+def settle(model: PointModel, theta: Floats, start: Floats, *, by_newton: bool = False) -> SteadyStates:
+    """Iterate all rows, each with its own time step; `by_newton`, rows are lost where Newton does not contract."""
     thetas, states = theta[None], start.copy()
     models = model.at(states, thetas)
     scale = np.maximum(np.abs(states), model.nominals)
@@ -94,6 +94,7 @@ def _settle(model: PointModel, theta: Floats, start: Floats) -> SteadyStates:
         correction = system.solve(others.rates[0] - moves / step[:, None])
         contraction = _norm(correction / scale) / np.maximum(sizes, 1e-300)
         better = moving & ((contraction <= SETTINGS.contraction) | (small & ~newton))
+        lost |= by_newton & moving & ~better
         change = np.clip(0.5 * SETTINGS.contraction / np.maximum(contraction, 1e-9), *SETTINGS.change)
         longer = np.where(small | (step * change > SETTINGS.longest * first), np.inf, step * change)
         last = np.where(better & ~newton, step, np.where(newton, last, np.fmin(change, 0.5) * step))
@@ -101,8 +102,9 @@ def _settle(model: PointModel, theta: Floats, start: Floats) -> SteadyStates:
         states = np.where(better[:, None], trial, states)
         models = _chosen(better, others, models)
         scale = np.maximum(np.abs(states), model.nominals)
-    final = np.where(done[:, None], states + np.nan_to_num(moves), states)  # by the square of a small step nearer
-    return SteadyStates(final, model.at(final, thetas), done)
+    moves = np.where(done[:, None], np.nan_to_num(moves), 0.0)  # small: their squares are nothing
+    outputs = models.outputs + (models.c[0] @ moves[..., None])[None, ..., 0]
+    return SteadyStates(states + moves, replace(models, outputs=outputs), done)
 
 
 def _first_time_step(models: StateSpace, scale: Floats) -> Floats:
@@ -166,16 +168,16 @@ def _norm(steps: Floats) -> Floats:
 
 
 def first_issue(
-    model: PointModel, theta: Floats, found: SteadyStates, *, first: bool, second: bool
+    model: PointModel, theta: Floats, found: SteadyStates, *, first: bool, starts: Sequence[Floats]
 ) -> tuple[int, SteadyIssue] | None:
     """Return the first row without a usable steady state, and the reason.
 
-    At the `first` theta, events are sought, and with `second` other starts.
+    At the `first` theta, events are sought, and other steady states from `starts`.
     """
     tests = [(~found.found, SteadyIssue.NONE), (is_unstable(found.models), SteadyIssue.UNSTABLE)]
     if first:
         tests.append((model.events(found.states, theta), SteadyIssue.EVENT))
-        tests += [(_differs(model, theta, found, sign), SteadyIssue.SEVERAL) for sign in (1.0, -1.0) if second]
+        tests += [(_differs(model, theta, found, start), SteadyIssue.SEVERAL) for start in starts]
     return next(((int(rows.argmax()), issue) for rows, issue in tests if rows.any()), None)
 
 
@@ -186,10 +188,16 @@ def is_unstable(models: StateSpace) -> Flags:
     return np.asarray((values.real > SETTINGS.unstable * largest[:, None]).any(axis=1))
 
 
-def _differs(model: PointModel, theta: Floats, found: SteadyStates, sign: float) -> Flags:
-    """Return whether each row (K,) has another stable steady state."""
+def other_starts(model: PointModel, states: Floats) -> list[Floats]:
+    """Return starts far on both sides of steady states (K, n_x)."""
+    far = SETTINGS.away * np.maximum(np.abs(states), model.nominals)
+    return [states + far, states - far]
+
+
+def _differs(model: PointModel, theta: Floats, found: SteadyStates, start: Floats) -> Flags:
+    """Return whether each row (K,) has another stable steady state, from start."""
     scale = np.maximum(np.abs(found.states), model.nominals)
-    other = _settle(model, theta, found.states + sign * SETTINGS.away * scale)
+    other = settle(model, theta, start)
     apart = other.found & (_norm((other.states - found.states) / scale) > SETTINGS.same)
     real = np.linalg.eigvals(np.nan_to_num(other.models.a[0])).real
     return np.asarray(apart & (real < 0.0).all(axis=1))
