@@ -15,7 +15,7 @@ from fmuid.export.explicit_model import ExplicitModel
 from fmuid.export.syntax import Declaration
 from fmuid.formatting import nearest
 
-_BASE_UNITS = ("kg", "m", "s", "A", "rad")
+_BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 _DERIVED_UNITS = {
     "N": "kg.m.s-2",
     "J": "kg.m2.s-2",
@@ -30,6 +30,7 @@ _DERIVED_UNITS = {
     "S": "kg-1.m-2.s3.A2",
     "Hz": "s-1",
     "Pa": "kg.m-1.s-2",
+    "degC": "K",  # with an offset where it stands alone
 }
 _DISPLAY_UNITS = {"rad": ("deg", 180 / math.pi), "rad/s": ("rpm", 30 / math.pi), "m": ("mm", 1e3), "m/s": ("mm/s", 1e3)}
 """Unit -> display unit, and its number per unit."""
@@ -180,4 +181,5 @@ def _base_unit(d: Declaration, file: str) -> str:
     numerator, _, denominator = str(d.unit).partition("/")
     multiply(numerator, 1)
     multiply(re.sub(r"^\((.*)\)$", r"\1", denominator) or "1", -1)
-    return f"<BaseUnit{''.join(attribute(name, str(e)) for name, e in exponents.items() if e)}/>"
+    offset = attribute("offset", "273.15") if d.unit == "degC" else ""
+    return f"<BaseUnit{''.join(attribute(name, str(e)) for name, e in exponents.items() if e)}{offset}/>"

@@ -67,9 +67,16 @@ def model_directions(
         ):  # by its value where the record sees it: no shift of its own
             i = result.names.index(subject[0])
             column = column - jacobian[:, i] * (local.root @ (local.root.T @ (jacobian.T @ (column / levels**2))))[i]
-        if np.isfinite(column).all() and column.any():
+        is_free = kind is ErrorKind.INITIAL_STATE and _is_along(column / levels, jacobian / levels[:, None])
+        if np.isfinite(column).all() and column.any() and not is_free:
             directions.append(Direction(kind, subject, first.unit, usual, first.one_sided, first.value, column))
     return tuple(directions)
+
+
+def _is_along(column: Floats, others: Floats) -> bool:
+    """Return True if one of others (n, N) is parallel."""
+    sizes = np.linalg.norm(others, axis=0) * np.linalg.norm(column)
+    return bool((np.abs(column @ others) > (1.0 - 0.5 * SETTINGS.alike**2) * sizes).any())
 
 
 def _columns(

@@ -28,6 +28,7 @@ class DirectionSettings:
     sign_width: float = 0.02  # of the amplitude: where the sign of a current changes
     most_fixed: int = 12  # fixed parameters; each costs a simulation
     fixed_step: float = 1e-3  # relative
+    alike: float = 1e-3  # part of an initial state's column that a free start value leaves
     agreement: float = 0.1  # relative error of the linearized sensitivities that still allows these directions
 
 

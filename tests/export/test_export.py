@@ -1,5 +1,6 @@
 """The exporter: what it refuses and how, and what the FMUs are made of."""
 
+import re
 import shutil
 from pathlib import Path
 
@@ -73,7 +74,7 @@ def test_units_in_base_units() -> None:
 
 
 def test_derived_units_are_those_of_pint(exported: Exporter) -> None:
-    units = [*_DERIVED_UNITS, "F.V/s", "C/F"]
+    units = [*_DERIVED_UNITS, "F.V/s", "C/F", "W/(m2.K)", "J/(mol.K)", "cd/m2"]
     lines = [f'parameter Real p{k}(unit="{unit}") = 1;' for k, unit in enumerate(units)]
     total = " + ".join(f"p{k}" for k in range(len(units)))
     found = description(
@@ -81,9 +82,12 @@ def test_derived_units_are_those_of_pint(exported: Exporter) -> None:
     )
     pint: UnitRegistry[float] = UnitRegistry()
     names = {"kg": "kilogram", "m": "meter", "s": "second", "A": "ampere"}
+    names |= {"K": "kelvin", "mol": "mole", "cd": "candela"}
     for unit in (each for each in found.iter("Unit") if each.get("name") in units):
-        expected = pint.Quantity(1.0, str(unit.get("name")).replace(".", "*").replace("Ohm", "ohm")).to_base_units()
-        assert expected.magnitude == pytest.approx(1.0)
+        text = re.sub(r"([a-zA-Z])(\d)", r"\1**\2", str(unit.get("name")).replace("Ohm", "ohm")).replace(".", "*")
+        offset = float(unit[0].attrib.pop("offset", 0.0))
+        expected = pint.Quantity(1.0, text).to_base_units()
+        assert expected.magnitude == pytest.approx(1.0 + offset)
         own = {names[key]: int(value) for key, value in unit[0].attrib.items()}
         assert own == dict(expected.units._units)
 

@@ -170,6 +170,15 @@ def test_columns_are_the_slopes_of_the_equations(key: tuple[ErrorKind, tuple[str
     assert np.linalg.norm(left[0] - left[1]) < 0.02 * np.linalg.norm(left[1])
 
 
+def test_a_free_start_value_is_no_error_of_the_initial_state() -> None:
+    _, problem, _ = nearly_exact()
+    free = dict(problem.given_parameters) | {"i_start": fmuid.Parameter(0.0, nominal=1.0)}
+    more = fmuid.Problem(COIL, problem.experiments, free)
+    kinds = {each.kind for each in more.directions(fmuid.identify(more))}
+    assert ErrorKind.INITIAL_STATE not in kinds
+    assert ErrorKind.OFFSET in kinds
+
+
 def test_exponentials_are_those_of_scipy() -> None:
     matrices = np.random.default_rng(1).normal(size=(5, 3, 3)) * np.array([1e-3, 0.1, 1.0, 5.0, 20.0])[:, None, None]
     e, one, two = exponentials(matrices)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from fmuid import Experiment, InputError, Study, System
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED
 from fmuid.array_types import Floats
 from fmuid.models import read_description
+from fmuid.studies import draft, match_data_files
 from fmuid.studies.init.parameter_survey import ParameterProposal as Use
 from fmuid.studies.init.parameter_survey import Survey, _select, is_solver_setting, survey
 from fmuid.studies.init.start_parameters import is_start
@@ -193,6 +195,34 @@ def test_a_length_at_rest_is_no_start_value(tmp_path: Path) -> None:
     assert uses["s0"] is Use.START_OPEN
 
 
+WALL = """
+model Wall "a room behind a wall; for Co-Simulation, in steps of 2 ms"
+  parameter Real tau(unit="s", min=1) = 2e6;
+  parameter Real share(unit="1") = 0.3;
+  parameter Real T0(unit="degC") = 20;
+  parameter Real Tw0(unit="degC") = 12;
+  input Real Ta(unit="degC");
+  output Real T(unit="degC", start=T0, fixed=true);
+  Real Tw(unit="degC", start=Tw0, fixed=true);
+equation
+  tau*der(T) = Tw - T;
+  tau*der(Tw) = share*(T - Tw) + Ta - Tw;
+end Wall;
+"""
+
+
+def test_slow_models_run_by_model_exchange_and_hidden_states_start_unseen(tmp_path: Path) -> None:
+    """A record of three years has 5e10 steps of 2 ms."""
+    t = np.linspace(0.0, 1e8, 400)
+    table = pd.DataFrame({"time": t, "Ta": 10.0 * np.sin(2e-7 * t), "T": 20.0 * np.exp(-t / 3e6)})
+    fmu = export_text(tmp_path, WALL)
+    table.to_csv(tmp_path / "record.csv", index=False)
+    made = draft(fmu, match_data_files(fmu, [tmp_path / "record.csv"]), tmp_path / "study.toml")
+    assert tomllib.loads(made.text)["model"]["interface"] == "model-exchange"
+    uses = {each.variable.name: each.use for each in made.survey.candidates}
+    assert uses["Tw0"] is Use.START_HIDDEN
+
+
 def experiment(table: pd.DataFrame) -> Experiment:
     return Experiment(table, ["u"], ["i"], interpolation="zoh")
 
@@ -203,6 +233,7 @@ def test_start_values_are_freed_where_records_begin_elsewhere() -> None:
     for i0, use in ((0.0, Use.START), (0.7, Use.START_FREED)):
         i = current(t, u, i0, 4.0)
         found = survey(COIL, [experiment(pd.DataFrame({"time": t, "u": u, "i": i}))])
+        assert not found.lags
         candidates = {each.variable.name: each for each in found.candidates}
         assert candidates.keys() == {"R", "L", "i_start"}  # the current itself starts at i_start
         assert [candidates[name].use for name in ("R", "L", "i_start")] == [Use.FREED, Use.FREED, use]

@@ -74,6 +74,8 @@ def draft(fmu: Path, records: Sequence[MatchedDataFile], output: Path, plate: Ma
     """
     known = None if not plate else nameplate_prior(System.of(fmu), nameplate_of(plate))
     description = records[0].description
+    ready = [each.experiment for each in records if each.is_ready and each.experiment is not None]
+    found = survey(fmu, ready) if len(ready) == len(records) else Survey()
     lines = [
         f"# Study of {description.model_name}, written by `fmuid init`.",
         f"# Check the free parameters below [parameters], then run: fmuid identify {output.name}",
@@ -83,7 +85,7 @@ def draft(fmu: Path, records: Sequence[MatchedDataFile], output: Path, plate: Ma
         "",
         "[model]",
         f"fmu = {toml_text(relative(fmu, output.parent))}  # paths are relative to this file",
-        *numerics(description),
+        *numerics(description, lags=found.lags),
         "",
         "[model.fixed]  # fixed parameters that differ from the FMU: name = value",
         "",
@@ -92,8 +94,6 @@ def draft(fmu: Path, records: Sequence[MatchedDataFile], output: Path, plate: Ma
     for k, record in enumerate(records):
         again = stems[:k].count(stems[k])
         lines += [*_experiment(record, output, f"{stems[k]} {again + 1}" if again else "", first=k == 0), ""]
-    ready = [each.experiment for each in records if each.is_ready and each.experiment is not None]
-    found = survey(fmu, ready) if len(ready) == len(records) else Survey()
     starts: dict[str, tuple[float, float]] = {}
     if known is not None:
         starts = dict(zip(known.names, zip(known.mean.tolist(), known.std, strict=True), strict=True))

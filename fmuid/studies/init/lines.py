@@ -49,11 +49,12 @@ def skeleton(fmu: FMU) -> str:
     return "\n".join(lines) + "\n"
 
 
-def numerics(description: Description) -> list[str]:
-    """Return the possible solver keys of the FMU, commented out."""
-    words = ["interface"] if len(description.interfaces) > 1 else []
-    words += ["solver"] if "model-exchange" in description.interfaces else []
-    return [example(NumericsSection, word) for word in (*words, "tolerance", "step_size")]
+def numerics(description: Description, *, lags: bool = False) -> list[str]:
+    """Return the solver keys, commented out unless Co-Simulation `lags`."""
+    both, exchanges = len(description.interfaces) > 1, "model-exchange" in description.interfaces
+    chosen = 'interface = "model-exchange"  # co-simulation fails or takes over ten times as long'
+    lines = ([chosen] if lags else [example(NumericsSection, "interface")]) if both else []
+    return lines + [example(NumericsSection, word) for word in (*["solver"] * exchanges, "tolerance", "step_size")]
 
 
 def rest(known: Sized = ()) -> list[str]:

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 import re
+import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 
@@ -38,6 +39,8 @@ class SurveySettings:
     min_noise: float = 1e-4  # noise level, fraction of the output's spread: solver errors may be as large
     max_free: int = 12
     max_examined: int = 200
+    times_as_long: float = 10.0  # of Co-Simulation over Model Exchange, for the latter ...
+    longest: float = 1.0  # s: ... and of a simulation at all
 
 
 SETTINGS = SurveySettings()
@@ -57,6 +60,7 @@ class ParameterProposal(Enum):
     START_FREED = "free: first samples differ"
     START_OPEN = "free: the only excitation"
     START = "start value, agrees with first samples"
+    START_HIDDEN = "start value, which first samples do not show"
     NO_EFFECT = "no effect"
     ALIKE = "acts like"
     NOISE = "effect below the noise"
@@ -86,12 +90,16 @@ def proposal(given: Candidate) -> str:
 
 @dataclass(frozen=True)
 class Survey:
-    """Effects of the parameters, strongest first; `failure` is the failed simulation."""
+    """Effects of the parameters, strongest first; `failure` is the failed simulation.
+
+    Co-Simulation `lags` if it fails, or takes too long, where Model Exchange does not.
+    """
 
     candidates: tuple[Candidate, ...] = ()
     doubts: tuple[TimeScaleWarning, ...] = ()
     sizes: tuple[tuple[str, str, float], ...] = ()
     failure: str = ""
+    lags: bool = False
 
     @property
     def freed(self) -> tuple[Candidate, ...]:
@@ -106,10 +114,25 @@ def survey(fmu: Path, experiments: Sequence[Experiment]) -> Survey:
     for interface in sorted(set(KINDS) & set(description.interfaces), reverse=True):
         try:
             with closing(System(fmu, numerics=Numerics(interface), isolation=Isolation())) as system:
-                return _surveyed(system, description, experiments)
+                found = _surveyed(system, description, experiments)
+                others = set(KINDS) & set(description.interfaces) - {interface}
+                return replace(
+                    found, lags=failure == "" and any(_lags(system, fmu, other, experiments) for other in others)
+                )
         except (InputError, SimulationError) as error:
             failure = str(error)
     return Survey(failure=failure)
+
+
+def _lags(system: System, fmu: Path, other: str, experiments: Sequence[Experiment]) -> bool:
+    """Return whether the other interface fails, or takes too long."""
+    for experiment in [each for each in experiments if each.kind == "time"][:1]:
+        begun = time.perf_counter()
+        Simulator(system, experiment)(())
+        limit = max(SETTINGS.times_as_long * (time.perf_counter() - begun), SETTINGS.longest)
+        with closing(System(fmu, numerics=Numerics(other), isolation=Isolation(time_limit=limit))) as slow:
+            return Simulator(slow, experiment).many(np.empty((1, 0))).errors[0] is not None
+    return False
 
 
 def _surveyed(system: System, description: Description, experiments: Sequence[Experiment]) -> Survey:
@@ -221,11 +244,12 @@ def _proposed(
             uses[k] = ParameterProposal.ZERO
     for k in begun:
         if uses[k] in (None, ParameterProposal.ZERO):
-            uses[k] = ParameterProposal.START_FREED if k in freed else ParameterProposal.START if driven else None
+            agrees = ParameterProposal.START if changes.first_changes[:, k].any() else ParameterProposal.START_HIDDEN
+            uses[k] = ParameterProposal.START_FREED if k in freed else agrees if driven else None
     weighted = np.where(finite, jacobian, 0.0) * changes.weights[:, None]
     likes = _select(columns, effects, uses, list(freed), weighted)
     # a study without free parameters cannot be identified
-    for last in (ParameterProposal.ZERO, ParameterProposal.START):
+    for last in (ParameterProposal.ZERO, ParameterProposal.START, ParameterProposal.START_HIDDEN):
         if not any(use in FREE for use in uses):
             uses = [None if use is last else use for use in uses]
             likes = _select(columns, effects, uses, [], weighted)
@@ -324,7 +348,6 @@ def bounds(given: Candidate) -> dict[str, float]:
     variable, start = given.variable, given.start
     found = declared_bounds(variable, start)
     signed = (variable.unit or "") in _SIGNED or _PLACE.search(f"{variable.name} {variable.description}")
-    started = (ParameterProposal.START, ParameterProposal.START_FREED, ParameterProposal.START_OPEN)
-    if found or signed or given.use in started or not start:
+    if found or signed or given.use.name.startswith("START") or not start:
         return found
     return {"min": 0.0} if start > 0 else {"max": 0.0}
