@@ -89,7 +89,7 @@ def _columns(
     yield from sensor_columns(experiment, simulated, units)
     yield from fixed_columns(simulator, theta)
     record = LinearizedRecord.of(simulator.model_at(theta), theta)
-    if record is None or not _agrees(simulator.seen(record.sensitivities, theta)[simulator.own], slopes[simulator.own]):
+    if record is None or not _agrees(simulator, theta, simulator.seen(record.sensitivities, theta), slopes):
         return
     yield from _of_slopes(record, simulator, theta, units, sizes)
     plain = simulator.observed is None
@@ -101,16 +101,25 @@ def _columns(
         yield DirectionColumn(made.kind, made.subject, made.unit, made.usual, table, made.one_sided)
 
 
-def _agrees(linearized: Floats, slopes: Floats) -> bool:
+def _agrees(simulator: Simulator, theta: Floats, linearized: Floats, slopes: Floats) -> bool:
     """Return True if linearized and simulated sensitivities (N, K, n_y) agree.
 
-    They are not where the model has events, delays or a memory.
+    They are not where the model has events, delays or a memory. Slopes may be of other estimates, so they are taken
+    again where they differ.
     """
-    counted = np.isfinite(slopes)
-    for own, other, where in zip(linearized, slopes, counted, strict=True):
-        if np.linalg.norm(own[where] - other[where]) > SETTINGS.agreement * np.linalg.norm(other[where]):
-            return False
+    for i in np.arange(len(theta))[simulator.own].tolist():
+        if _differs(linearized[i], slopes[i]):
+            move = np.zeros(len(theta))
+            move[i] = SETTINGS.fixed_step * max(abs(theta[i]), 1e-12)
+            up, down = simulator(np.array([theta + move, theta - move]))
+            if _differs(linearized[i], (up - down) / (2.0 * move[i])):
+                return False
     return True
+
+
+def _differs(own: Floats, other: Floats) -> bool:
+    counted = np.isfinite(other)
+    return bool(np.linalg.norm((own - other)[counted]) > SETTINGS.agreement * np.linalg.norm(other[counted]))
 
 
 def _of_slopes(
@@ -212,8 +221,9 @@ def _of_inputs(
         if not values.any():
             continue
         usual, one = SETTINGS.share * rms_of(values), np.ones(len(ends))
-        yield _made(ErrorKind.INPUT_OFFSET, (name,), units[name], usual), _input_change(record, j, one)
-        yield _made(ErrorKind.INPUT_GAIN, (name,), "", SETTINGS.share), _input_change(record, j, ends)
+        # what a sensor reads too much the model gets too much
+        yield _made(ErrorKind.INPUT_OFFSET, (name,), units[name], usual), _input_change(record, j, -one)
+        yield _made(ErrorKind.INPUT_GAIN, (name,), "", SETTINGS.share), _input_change(record, j, -ends)
         rise, between = np.diff(values), np.zeros(len(ends))
         if not rise.any():
             continue
@@ -294,14 +304,15 @@ def signs(signals: Floats) -> Floats:
 
 
 def driven_outputs(record: LinearizedRecord) -> dict[int, int]:
-    """Return the output whose slope each input drives most, by C ∂ẋ/∂u; none for inputs that drive no slope."""
+    """Return the output whose slope each input drives most, by C ∂ẋ/∂u; none without a slope or a change of sign."""
     found: dict[int, int] = {}
     sizes = np.sqrt(np.mean(record.ends**2, axis=0)) + 1e-300
     for j, slope in enumerate(record.by_input):
         direct = np.sqrt(np.mean(np.einsum("pij,pj->pi", record.observed, slope) ** 2, axis=0)) / sizes
         if direct.size and direct.max() > 0.0 and np.ptp(record.experiment.input_values[:, j]) > 0.0:
             found[j] = int(np.argmax(direct))
-    return found
+    changing = (record.ends.min(axis=0) < 0.0) & (record.ends.max(axis=0) > 0.0)
+    return {j: k for j, k in found.items() if changing[k]}
 
 
 def _of_parameters(

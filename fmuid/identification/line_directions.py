@@ -69,9 +69,9 @@ def line_errors(made: SensorMap, currents: Floats) -> Iterator[LineError]:
 
     for k, column in enumerate(columns):
         own = np.zeros_like(lines)
-        own[:, k] = lines[:, k]
+        own[:, k] = -lines[:, k]  # what a sensor reads too much the model gets too much
         yield LineError(ErrorKind.INPUT_GAIN, (column,), "", 1.0, made.axes(own))
-        own[:, k] = 1.0
+        own[:, k] = -1.0
         yield LineError(ErrorKind.INPUT_OFFSET, (column,), "V", voltage, made.axes(own))
     for column, line in zip(columns, LINES, strict=False):
         name = f"phase_resistance({line})"

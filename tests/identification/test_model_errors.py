@@ -102,8 +102,8 @@ DIRECTIONS: dict[tuple[ErrorKind, tuple[str, ...]], Callable[[Floats, float], Fl
     (ErrorKind.OFFSET, ("i",)): lambda u, h: closed(u) + h,
     (ErrorKind.GAIN, ("i",)): lambda u, h: closed(u) * (1.0 + h),
     (ErrorKind.DELAY, ("i",)): lambda u, h: closed(u, h),
-    (ErrorKind.INPUT_OFFSET, ("u",)): lambda u, h: closed(u + h),
-    (ErrorKind.INPUT_GAIN, ("u",)): lambda u, h: closed(u * (1.0 + h)),
+    (ErrorKind.INPUT_OFFSET, ("u",)): lambda u, h: closed(u - h),  # u reads too much
+    (ErrorKind.INPUT_GAIN, ("u",)): lambda u, h: closed(u * (1.0 - h)),
     (ErrorKind.INITIAL_STATE, ("i",)): lambda u, h: closed(u) + h * np.exp(-R / L * TIMES),
     (ErrorKind.DEAD_TIME, ("u", "i")): lambda u, h: integrated(
         u, lambda _, x, v: (v - h * np.tanh(x / (0.02 * _top(u))) - R * x) / L

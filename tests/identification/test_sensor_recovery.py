@@ -86,7 +86,7 @@ def test_intervals_hold() -> None:
     [
         ({"delay": 1.5e-4}, "delay", "ib", 0.3),
         ({"offset": 0.1}, "offset", "ib", 0.1),
-        ({"supply": 1.0 / 1.02}, "input_gain", "uc", 0.02),
+        ({"supply": 1.02}, "input_gain", "uc", 0.02),
         ({"joint": (0.0, 0.45, 0.0)}, "joint", "ub", 0.45),
     ],
 )

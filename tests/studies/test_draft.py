@@ -155,7 +155,7 @@ def test_a_new_file_is_never_written_over_another(tmp_path: Path) -> None:
     for path, said in (
         (tmp_path, "file exists"),
         (edited, "file exists"),
-        (tmp_path / "none" / "study.toml", "cannot be written"),
+        (tmp_path / "none" / "study.toml", "its folder does not exist. Create it"),
     ):
         with pytest.raises(InputError, match=said):
             check_output(path)

@@ -115,6 +115,8 @@ def write_draft(made: Draft, output: Path, *, force: bool = False) -> None:
 
 def check_output(output: Path, *, force: bool = False) -> None:
     """Check that a study file can be written."""
+    if not output.parent.is_dir():
+        raise InputError(f"{output}: its folder does not exist. Create it, or choose another with --output.")
     if exists(output) and not force and not _is_untouched(output):
         raise InputError(f"{output}: file exists. Choose another name with --output, or replace it with --force.")
     try:
