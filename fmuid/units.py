@@ -36,6 +36,8 @@ _MEANT = {
     "ohm": "Ohm, Ohms, ohms, Ω, Ω",
     "deg": "degrees, Degrees, degree, Degree, deg., °, º",
     "deg/s": "°/s, degrees/s, deg/sec, dps",
+    "km/h": "kmh, kph, Km/h, KM/H",
+    "m/s": "mps",
     "rad/s": "rad/sec, rads/s, rad s-1, rad s^-1, rad·s⁻¹, rad*s^-1, rad.s-1",
     "percent": "%, percent, Percent, pct, Prozent",
     "N": "Newton, Newtons",
@@ -84,8 +86,13 @@ _OF_BASE = re.compile(
 """Per unit or percent of a base: ``p.u. of 157 rad/s``. Without the words, ``12 V`` may be a nominal value."""
 _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
 _POWER_OF_A_NUMBER = re.compile(r"[\d)]\s*(\^|\*\*)")  # in no unit; slow in pint
-_IN_NAMES = re.compile(r".+[_ ](rpm|[mkuµ]A|[mkuµ]V|[mk]W|[mk]?Nm|[kM]Pa|mbar|degC|deg|mOhm|kOhm|[mc]m|kHz)")
+_CLEAR = (
+    "rpm mA kA uA µA mV kV uV µV mW kW Nm mNm kNm kPa MPa mbar degC degF deg mOhm kOhm mm cm kHz kmh kph mph mps pct"
+)
+_IN_NAMES = re.compile(rf".+[_ ]({'|'.join(_CLEAR.split())})")
 """Column names that end in a unit; ``R_s``, ``i_d`` and ``p_bar`` do not."""
+_CAPITALS = {each.upper(): each for each in _CLEAR.split()}
+_AT_END = re.compile(r".+[_ ]([^\W\d_]+)")
 
 
 @dataclass(frozen=True)
@@ -148,10 +155,13 @@ def _registry() -> Any:
     return registry
 
 
-def unit_in_name(column: str, variable: str = "") -> str | None:
+def unit_in_name(column: str, variable: str = "", own: str = "") -> str | None:
     """Return the unit at the end of a column's name, ``w_rpm``.
 
-    None if the name of its variable ends so too.
+    None if the name of its variable ends so too. With the variable's own unit, any that converts: ``LEVEL_CM``.
     """
-    found = _IN_NAMES.fullmatch(column)
+    found, end, known = _IN_NAMES.fullmatch(column), _AT_END.fullmatch(column), parse_unit(own) if own else None
+    if found is None and known is not None and end is not None:
+        unit = parse_unit(text := _CAPITALS.get(end[1], end[1]) if column.isupper() else end[1])
+        return text if unit and unit.exponents == known.exponents and not variable.endswith(end[1]) else None
     return found[1] if found and not variable.endswith(found[1]) else None

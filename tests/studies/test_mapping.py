@@ -48,6 +48,26 @@ def test_guesses(columns: dict[str, str], expected: dict[str, tuple[str, MatchRe
     assert guessed(columns) == expected
 
 
+@pytest.mark.parametrize(
+    ("columns", "found", "units"),
+    [
+        (("PUMP_V", "SENSE_MA"), ["PUMP_V", "SENSE_MA"], {"i": "mA"}),
+        (("drive_V", "sense_uA"), ["drive_V", "sense_uA"], {}),  # which experiments read, too
+        (("u", "i_kiloampere"), ["u", "i_kiloampere"], {"i": "kiloampere"}),
+        (("u", "i_s"), ["u", None], {}),  # seconds are no current
+        (("u_A", "i"), [None, "i"], {}),
+    ],
+)
+def test_ends_of_names_are_units_that_convert(
+    columns: tuple[str, str], found: list[str | None], units: dict[str, str], tmp_path: Path
+) -> None:
+    coil_table(path := tmp_path / "a.csv", 0.0, 1)
+    pd.read_csv(path).set_axis(["time", *columns], axis=1).to_csv(path, index=False)
+    (record,) = match_data_files(COIL, [path])
+    assert record.units == units
+    assert [link.column for link in record.links] == found
+
+
 def test_undecided_columns_are_choices() -> None:
     links = guess(MACHINE, ["n1", "n2"], {"n1": "rpm", "n2": "rpm"}, {})
     assert [(link.column, link.choices) for link in links if link.variable == "w"] == [(None, ("n1", "n2"))]

@@ -139,7 +139,8 @@ def error_names(direction: Direction) -> str:
     elif kind in (ErrorKind.SATURATION, ErrorKind.STATE_DEPENDENCE):
         subject = subject[:1]
     by = f" by {direction.subject[1]}" if kind is ErrorKind.SATURATION and len(direction.subject) > 1 else ""
-    return f"{kind.value.replace('_', ' ')} of {listed(subject)}{by}"
+    what = "value" if kind is ErrorKind.FIXED else kind.value.replace("_", " ")
+    return f"{what} of {listed(subject)}{by}"
 
 
 def _fields(kind: ErrorKind, subject: Sequence[str], size: str) -> dict[str, str]:

@@ -144,7 +144,8 @@ def _summary(found: IdentificationRun, said: Sequence[Remark]) -> tuple[tuple[st
         doubts = [each for each in mine if _is_doubt(each)]
         lines.append((label, _short(f"{label} ", doubts or mine), bool(doubts)))
     shown = [each for each in lines if each[1]]
-    if not any(doubtful for *_, doubtful in shown):
+    verdict = found.result.verdict
+    if verdict is not None and verdict.grade is Grade.PASSED:
         shown.append((*_untested(found.assessment.model_errors), True))
     kept = sorted(shown, key=lambda each: not each[2] and each[0] != "Fit")[:MAX_LINES]
     return tuple((label, text) for each in shown if each in kept for label, text in [each[:2]])

@@ -10,6 +10,7 @@ from enum import Enum
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
 from fmuid.models import Description, Variable
+from fmuid.units import unit_in_name
 
 # Additions to names of measured and commanded quantities, in English and German.
 _MEASURED = {
@@ -85,7 +86,8 @@ def guess(
     links = []
     for name, role in roles.items():
         match, reason = found.get(name, (None, None))
-        unit, said = description.variables[name].unit, units.get(match or "")
+        unit = description.variables[name].unit
+        said = units.get(match or "") or unit_in_name(match or "", name, unit or "")
         links.append(
             ColumnMatch(name, role, match, reason, unit, said, search.choices.get(name, ()) if not match else ())
         )
@@ -152,7 +154,7 @@ class _Guesses:
 
     def _converts(self, variable: Variable, column: str) -> bool | None:
         """Return whether a column's unit converts to the variable's; None if unknown."""
-        unit = self.units.get(column)
+        unit = self.units.get(column) or unit_in_name(column, variable.name, variable.unit or "")
         if not unit or variable.unit in (None, "", "1"):
             return None
         return self._has_unit(variable, unit)

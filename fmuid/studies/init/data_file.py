@@ -107,6 +107,18 @@ class MatchedDataFile:
             return self._as_given(link for link in found if known or link.variable not in ("torque", "efficiency"))
         return guess(self.description, self.columns, units, self.asked.columns)
 
+    @property
+    def units(self) -> dict[str, str]:
+        """Units that are given, or guessed from names of columns."""
+        said = self.frame.attrs.get("units", {})
+        open_ = [each for each in self.links if each.column and each.column_unit not in (None, each.unit)]
+        found = {
+            each.variable: str(each.column_unit)
+            for each in open_
+            if each.column not in said and not unit_in_name(str(each.column), each.variable)
+        }
+        return (found if self.in_time else {}) | dict(self.asked.units)
+
     def _as_given(self, found: Iterable[ColumnMatch]) -> tuple[ColumnMatch, ...]:
         """Return matches, with the given columns in place of theirs."""
         own, given = {each.variable: each for each in found}, self.asked.columns
@@ -248,7 +260,7 @@ class MatchedDataFile:
         else:
             words |= {"kind": self.asked.kind, **self.of_rows}
         words |= {"preprocess": dict(self.asked.prepare)}
-        words |= {"units": dict(self.asked.units)} | ({"missing": [*self.asked.missing]} if self.marks else {})
+        words |= {"units": self.units} | ({"missing": [*self.asked.missing]} if self.marks else {})
         return ExperimentSettings.read(words, SectionLocation(str(self.path), Path()))
 
     def _measured(self) -> Iterator[tuple[str, Floats]]:

@@ -143,6 +143,7 @@ def _is_untouched(path: Path) -> bool:
 def _experiment(record: MatchedDataFile, output: Path, name: str, *, first: bool) -> list[str]:
     asked = record.asked
     clock = "  # or the name of the time column: Time (ms), t, timestamp" if first else ""
+    guessed = "" if record.units == asked.units else "  # guessed from names of columns"
     said = {"time_unit": asked.time_unit, "sample_rate": asked.sample_rate, "sheet": asked.sheet}
     return [
         "[[experiments]]" + ("  # repeat this section for each experiment" if first else ""),
@@ -155,7 +156,7 @@ def _experiment(record: MatchedDataFile, output: Path, name: str, *, first: bool
         *(f"{word} = {toml_text(value)}  # guessed: check" for word, value in record.of_rows.items()),
         *([f"# unused columns: {listed(record.unused)}"] if record.unused else []),
         *([f"missing = {toml_text([*asked.missing])}  # taken for marks of missing samples"] if asked.missing else []),
-        *([f"units = {toml_text(asked.units)}"] if asked.units else []),
+        *([f"units = {toml_text(record.units)}{guessed}"] if record.units else []),
         *([f"preprocess = {toml_text(asked.prepare)}"] if asked.prepare else []),
         *(['# for other column names: outputs = { fmu_variable = "column" }'] if first and record.in_time else []),
         *([_interpolation(record), example(ExperimentSettings, "warmup")] if record.in_time else []),

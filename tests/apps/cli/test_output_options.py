@@ -7,8 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
+from scipy.signal import lfilter
 
 from fmuid import Document
 from fmuid.apps.cli.app import COMPLETION, app, run
@@ -135,3 +137,15 @@ def test_completions(line: str, found: str, monkeypatch: pytest.MonkeyPatch) -> 
         monkeypatch.setenv(name, value)
     done = subprocess.run([sys.executable, "-m", "fmuid"], capture_output=True, text=True, check=False)
     assert done.stdout.split() == [found]
+
+
+def test_what_could_hide_stands_beside_passed_under_colored_noise(folder: Path, said: Said) -> None:
+    coil_table(folder / "colored.csv", 0.0, seed=3, noise=0.0)
+    table = pd.read_csv(folder / "colored.csv")
+    table["i"] += lfilter([1.0], [1.0, -0.6], 0.005 * np.random.default_rng(3).standard_normal(len(table)))
+    table.to_csv(folder / "colored.csv", index=False)
+    (folder / "colored.toml").write_text(STUDY.replace("first.csv", "colored.csv"))
+    _, out, _ = said("identify", folder / "colored.toml", "--no-isolation", "--no-report", "-o", folder / "colored")
+    labels = [line[:13].strip() for line in out.splitlines()]
+    assert labels[0] == "PASSED"
+    assert {"Intervals", "Could hide"} < set(labels)
