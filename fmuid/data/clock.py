@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import re
-from collections.abc import Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -14,8 +12,10 @@ import pandas as pd
 
 from fmuid.array_types import Floats
 from fmuid.data.coarse_clock import regular_times
-from fmuid.data.headers import TIME_NAMES, RawTable, is_time_name, split_header
-from fmuid.data.several_clocks import assigned, joined, same_clock
+from fmuid.data.headers import RawTable, split_header
+from fmuid.data.several_clocks import assigned, joined, resolution, same_clock
+from fmuid.data.time_names import TIME_NAMES, counts_part, is_time_name, plain_name
+from fmuid.data.time_texts import check_local_times, seconds_of, times_of
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
 from fmuid.units import SECONDS, TIME_UNITS, time_unit
@@ -24,32 +24,15 @@ REMEDY = "Name it, give sample_rate, or a kind for rows without times."
 _LISTED_NAMES = 12
 """Names listed in a message."""
 _WITH_SUFFIX = re.compile(rf"(.*\S)[_ ]({'|'.join(SECONDS)})", re.IGNORECASE)
-_ORDERS = (
-    "%d{0}%m{0}%Y",
-    "%m{0}%d{0}%Y",
-    "%Y{0}%m{0}%d",
-    "%d{0}%b{0}%Y",
-    "%d{0}%m{0}%y",
-    "%m{0}%d{0}%y",
-    "%y{0}%m{0}%d",
-)
-_DOTTED = ("%d{0}%m{0}%Y", "%d{0}%m{0}%y")
-"""With dots the day is first."""
-_CLOCKS = (" %H:%M:%S.%f", " %H:%M:%S", " %H:%M", " %I:%M:%S.%f %p", " %I:%M:%S %p", " %I:%M %p")
 _CENTURY = (946_684_800.0, 4_102_444_800.0)
 """Seconds from 1970 to the years 2000 and 2100."""
-_COLON = re.compile(r"(\d:\d{2}:\d{2}):(?=\d{1,6}$)")
-"""A colon before parts of a second."""
-_DATED = re.compile(r"\d+[./-]\w+[./-]\d+.*:")
-_CLOCK = re.compile(r"(\d+ days )?\d{1,3}:\d{2}(:\d{2}([.,]\d+)?)?")
-_OFFSET = r"(?:Z|[+-]\d{2}:?\d{2})$"
-_HOUR, _DAY = 3600.0, 86_400.0
 _MILLISECONDS = ("ms", "msec", "millisecond", "milliseconds")
 """Columns beside times of whole seconds."""
 _DAY_NUMBERS = (36_526.0, 73_051.0)
 """Days of spreadsheets (from 1899-12-30) of the years 2000 to 2100."""
+_MATLAB_DAYS = (729_391.0, 767_010.0)
+"""Days of MATLAB (datenum) of the years 1997 to 2100."""
 _DATES = ("date", "datum", "datetime", "date/time", "date time", "datum/zeit", "datum zeit", "timestamp", "zeitstempel")
-_WITH_UNIT = re.compile(r"\s*(?P<number>[+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*(?P<unit>[a-zµ]+)\s*")
 
 
 def time_name(time: str | int) -> str:
@@ -147,18 +130,18 @@ def _by_the_lines_above(raw: RawTable, name: str, step: float, source: str) -> T
 
 def _clock(raw: RawTable, column: str, unit: str | None, source: str, usual: str | None = None) -> _Clock:
     """Return a time column in s; `usual` is its unit where nothing says one."""
-    values, begin = _as_numbers(raw.frame[column], column, source)
+    values, begin = times_of(raw.frame[column], column, source)
     if begin is not None and begin.tzinfo is None:
-        _check_clock(raw.frame[column], np.asarray(values, dtype=np.float64), column, source)
+        check_local_times(raw.frame[column], np.asarray(values, dtype=np.float64), column, source)
     said_unit = unit or _unit_said(raw, column)
     if begin is None and said_unit is None and column in raw.units:
         said = f"time column {column!r} has the unit {raw.units[column]!r}, which is no time"
         raise InputError(f'{source}: {said}. Set time_unit, such as "s", or another time column.')
     if begin is None and (since_1970 := _since_1970(values, said_unit)):
-        values, begin = _seconds(pd.to_datetime(values, unit=since_1970))
+        values, begin = seconds_of(pd.to_datetime(values, unit=since_1970))
     if begin is None and said_unit is None and _are_day_numbers(values, column):
-        values, begin = _seconds(pd.to_datetime(values, unit="D", origin="1899-12-30").dt.round("us"))
-    if said_unit is None and column in raw.days:
+        values, begin = seconds_of(pd.to_datetime(values, unit="D", origin="1899-12-30").dt.round("us"))
+    if said_unit is None and (column in raw.days or (begin is None and _may_be_datenum(values))):
         raise InputError(f'{source}: column {column or "(no name)"!r} may be in days. Set time_unit = "d" or "s".')
     numeric = pd.api.types.is_numeric_dtype(values.dtype)  # texts are refused by the reader, with their row
     factor = SECONDS[said_unit or usual or "s"] if begin is None and numeric else 1.0
@@ -207,7 +190,7 @@ def _likely_clock(raw: RawTable, name: str, unit: str | None, usual: str | None,
     said, series = raw.units.get(name), raw.frame[name]
     dated = pd.api.types.is_datetime64_any_dtype(series.dtype)
     timed = said is not None and time_unit(said) is not None
-    if (said is not None and not timed) or not (dated or timed or is_time_name(name)):
+    if (said is not None and not timed) or not (dated or timed or is_time_name(name)) or counts_part(name):
         return None
     try:
         clock = _clock(raw, name, unit if said is None else None, source, usual)
@@ -224,13 +207,13 @@ def _likely_clock(raw: RawTable, name: str, unit: str | None, usual: str | None,
 
 def _of_time(unit: str) -> bool:
     """Return whether a unit is a word for time."""
-    return unit.lower() in TIME_NAMES
+    return plain_name(unit) in TIME_NAMES
 
 
 def _are_times(values: Any, source: str, mostly: float = 1.0) -> bool:
     """Return whether an unnamed column holds dates or times, not row numbers; `mostly` is the share of increases."""
     try:
-        numbers, begin = _as_numbers(values, "", source)
+        numbers, begin = times_of(values, "", source)
         steps = np.diff(np.asarray(numbers, dtype=np.float64))
     except (InputError, ValueError, TypeError):
         return False
@@ -271,10 +254,12 @@ def _column(raw: RawTable, time: str | int, source: str) -> str | None:
             return raw.time
         units = {name: raw.units.get(name) for name in names}
         timely = [each for each, unit in units.items() if unit is None or time_unit(unit) is not None or _of_time(unit)]
-        for known in TIME_NAMES:
-            near = [name for name in timely if _bare(name).lower() == known and name != "T"]
-            if len(near) == 1:
-                return near[0]
+        plain = {name: plain_name(_bare(name)) for name in timely if _bare(name) != "T"}
+        called = [name for known in TIME_NAMES for name in plain if plain[name] == known]
+        if len(called) == 1:
+            return called[0]
+        if called:
+            return _best_clock(raw, called, source)
         if "T" in timely:  # which is a temperature where there is another time
             return "T"
         if names[0] == "" and _are_times(raw.frame[""], source):  # an index of pandas
@@ -285,6 +270,21 @@ def _column(raw: RawTable, time: str | int, source: str) -> str | None:
         if time_unit(raw.units.get(names[0], "")) is not None and _are_times(raw.frame[names[0]], source, mostly=0.9):
             return names[0]
     return None
+
+
+def _best_clock(raw: RawTable, names: Sequence[str], source: str) -> str:
+    """Return the time column without steps back and repetitions, of these the least rounded; else the first."""
+    best, least = names[0], (np.inf, np.inf, np.inf)
+    for name in names:
+        try:
+            times = _clock(raw, name, None, source).seconds()
+            steps = np.diff(times[np.isfinite(times)])
+        except (InputError, ValueError, TypeError):
+            continue
+        rank = (float((steps < 0).any() or not steps.any()), float((steps == 0).any()), resolution(times))
+        if rank < least:
+            best, least = name, rank
+    return best
 
 
 def column_of(columns: Iterable[object], wanted: str) -> str | None:
@@ -332,72 +332,15 @@ def _since_1970(values: Any, unit: str | None) -> Literal["s", "ms", "us", "ns"]
     return next((each for each in possible if _CENTURY[0] <= first * SECONDS[each] < _CENTURY[1]), None)
 
 
+def _may_be_datenum(values: Any) -> bool:
+    """Return whether numbers may be days of MATLAB: fractions of a second as times in s."""
+    if not pd.api.types.is_numeric_dtype(values.dtype) or not values.between(*_MATLAB_DAYS).all():
+        return False
+    return bool((values % 1.0 > 0.0).any() and np.nanmedian(np.abs(np.diff(values))) < 1.0)
+
+
 def _are_day_numbers(values: Any, column: str) -> bool:
     """Return whether a column of dates holds a spreadsheet's numbers of days."""
     if column.strip().lower() not in _DATES or not pd.api.types.is_numeric_dtype(values.dtype):
         return False
     return bool(values.between(*_DAY_NUMBERS).all() and (values % 1.0 > 0.0).any())
-
-
-def _as_numbers(series: pd.Series[Any], column: str, source: str) -> tuple[Any, pd.Timestamp | None]:
-    """Return dates and times of day in s; else the series unchanged."""
-    if pd.api.types.is_timedelta64_dtype(series.dtype):
-        return series.dt.total_seconds(), None
-    if pd.api.types.is_datetime64_any_dtype(series.dtype):
-        return _seconds(series)
-    is_text = series.dtype == object or pd.api.types.is_string_dtype(series.dtype)
-    texts = series.dropna().astype(str) if is_text else series[:0]
-    if texts.empty:
-        return series, None
-    first = str(texts.iloc[0])  # of which alone the kind is found where texts are many
-    if _CLOCK.fullmatch(first) and texts.map(lambda text: _CLOCK.fullmatch(text) is not None).all():
-        clock = texts.str.replace(",", ".").map(lambda text: f"{text}:00" if text.count(":") == 1 else text)
-        seconds = pd.to_timedelta(clock).dt.total_seconds()
-        if seconds.max() < _DAY:
-            seconds += _DAY * (seconds.diff() < -_DAY / 2).cumsum()  # past midnight
-        return (seconds - seconds.iloc[0]).reindex(series.index), None
-    if _WITH_UNIT.fullmatch(first):
-        cells = texts.map(_WITH_UNIT.fullmatch)
-        if cells.notna().all() and all(cell["unit"] in SECONDS for cell in cells):  # 0.01 sec
-            return cells.map(lambda cell: float(cell["number"]) * SECONDS[cell["unit"]]).reindex(series.index), None
-    texts = texts.str.replace(_COLON, r"\1.", regex=True) if _COLON.search(first) else texts
-    dates = _dates(texts, column, source)
-    return (series, None) if dates is None else _seconds(dates.reindex(series.index))
-
-
-def _seconds(dates: pd.Series[Any]) -> tuple[Any, pd.Timestamp]:
-    begin = dates.iloc[0]
-    return (dates - begin).dt.total_seconds(), begin
-
-
-def _check_clock(dates: pd.Series[Any], seconds: Floats, column: str, source: str) -> None:
-    """Refuse dates without an offset that go back by one hour once."""
-    steps = np.diff(seconds)
-    back = np.flatnonzero(steps < 0)
-    if back.size == 1 and 0 <= steps[back[0]] + _HOUR <= 2 * np.median(steps):
-        before, after = dates.iloc[back[0] : back[0] + 2]
-        said = f"goes back by an hour in row {back[0] + 2} ({before} to {after})"
-        raise InputError(f"{source}: time column {column!r} {said}. Write times in UTC or with offsets (+01:00).")
-
-
-def _dates(texts: pd.Series[Any], column: str, source: str) -> pd.Series[Any] | None:
-    """Return texts as dates, None if they are none."""
-    with suppress(ValueError, TypeError):  # the other orders are tried below
-        return pd.to_datetime(texts, format="ISO8601")
-    with suppress(ValueError, TypeError):  # offsets that change where the clock is put forward or back
-        if re.search(_OFFSET, str(texts.iloc[0])) and texts.str.contains(_OFFSET, regex=True).all():
-            in_utc = pd.to_datetime(texts, format="ISO8601", utc=True)
-            return in_utc.dt.tz_convert(pd.Timestamp(texts.iloc[0]).tz)
-    if not _DATED.search(str(texts.iloc[0])) or not texts.str.contains(_DATED).all():
-        return None
-    points = texts.str.replace(",", ".")
-    dotted = re.match(r"\d{1,2}\.\d{1,2}\.", str(texts.iloc[0]))
-    orders = _DOTTED if dotted else _ORDERS
-    forms = [order.format(mark) + clock for order, mark, clock in itertools.product(orders, "./-", _CLOCKS)]
-    fitting = [form for form in forms if not pd.isna(pd.to_datetime(points.iloc[0], format=form, errors="coerce"))]
-    every = [pd.to_datetime(points, format=form, errors="coerce") for form in fitting]
-    readings = [read for read in every if not read.isna().any()]
-    if any(not (read == readings[0]).all() for read in readings[1:]):
-        said = f"day and month of {texts.iloc[0]!r} are ambiguous"
-        raise InputError(f"{source}: column {column!r}: {said}. Write dates as 2026-02-28 12:00:00.")
-    return readings[0] if readings else None

@@ -50,7 +50,7 @@ def read_data(
 
     - Text (``.csv``, ``.txt``, ``.tsv``, ``.asc``, ``.dat``; packed as ``.gz`` or ``.zip``) in UTF-8, UTF-16 or cp1252.
       Commas, semicolons, tabs, bars or spaces separate cells. Decimals have points or commas. Lines above the header
-      are skipped. Empty cells and ``-`` are missing samples.
+      are skipped. Empty cells and ``-`` are missing samples. Text of other suffixes is read, too.
     - ``.parquet``, ``.feather``, ``.json``: a named index becomes a column.
     - ``.xlsx``, ``.xls``, ``.ods`` (``pip install "fmuid[excel]"``).
     - ``.mat`` of MATLAB (``fmuid[hdf]`` for version 7.3): vectors of the most common length and matrices with named
@@ -100,10 +100,8 @@ def read_data(
     source = source or str(path)
     suffix = path.suffix.lower()
     inner = Path(path.stem).suffix.lower()
-    text = suffix in TEXT or (suffix in (".gz", ".zip") and (inner in TEXT or not inner))
-    if not (text or suffix in TABLE_SUFFIXES):
-        said = f"unknown format {path.suffix or 'without suffix'!r}"
-        raise InputError(f"{source}: {said}. Use {', '.join(TABLE_SUFFIXES)}.")
+    text = suffix not in (*JSON, *BINARY) and inner not in ((*JSON, *BINARY) if suffix in (".gz", ".zip") else ())
+    known = suffix in TABLE_SUFFIXES or (text and (suffix in TEXT or suffix in (".gz", ".zip")))
     if sheet is not None and suffix not in WITH_SHEETS:
         raise InputError(f"{source}: sheet {sheet!r}: this format has no sheets. Remove it.")
     if not is_file(path):
@@ -112,6 +110,9 @@ def read_data(
         path.open("rb").close()  # before libraries that say something else of it
     except PermissionError:
         raise InputError(f"{source}: permission denied. Change the permissions of the file.") from None
+    if not known and not (text and _is_text(path)):
+        said = f"unknown format {path.suffix or 'without suffix'!r}"
+        raise InputError(f"{source}: {said}. Save it as .csv, .mat, .h5, .tdms or .mf4.")
     if text:
         raw = read_text(path, source)
     elif suffix in JSON:
@@ -133,6 +134,13 @@ def read_data(
     frame.attrs |= {DECIDED: True} if missing is not None else {}
     frame.attrs |= {BEGIN: timed.begin} if timed.begin is not None else {}
     return frame
+
+
+def _is_text(path: Path) -> bool:
+    """Return whether a file of an unknown suffix is text in an 8-bit encoding."""
+    with path.open("rb") as file:
+        start = file.read(1 << 12)
+    return bool(start) and all(byte > 31 or byte in b"\t\n\r\f" for byte in start)
 
 
 def with_missing(frame: pd.DataFrame, missing: Sequence[float]) -> pd.DataFrame:

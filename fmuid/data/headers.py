@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy.typing as npt
 
+from fmuid.data.time_names import TIME_NAMES, is_time_name, plain_name
 from fmuid.errors import InputError
 from fmuid.units import SECONDS, parse_unit, time_unit
 
@@ -33,16 +34,6 @@ NO_SAMPLE = frozenset((*MISSING, *_MARKS.split(), "over range", "no data", "no s
 OVERLOADS = (9.9e37, 9.91e37)
 """Numbers for infinity and no number in SCPI (1999.0, section 7.2.1)."""
 
-TIME_NAMES = (
-    "time", "t", "zeit", "timestamp", "timestamps", "time stamp", "zeitstempel", "datetime", "uhrzeit", "heure",
-    "hora", "date", "date/time", "date time", "datum", "datum/zeit", "datum zeit", "temps", "tiempo", "tempo", "tijd",
-    "tid", "czas", "čas", "zaman", "время", "時間", "时间", "時刻", "elapsed time", "relative time", "rel. time",
-    "test time", "seconds", "second", "sekunden", "x_value", "x-axis", "zeitachse", "elapsed", "utc", "ts", "tout",
-    "date&time", "date & time",
-)  # fmt: skip
-"""What tables call their time, in small letters, in the order of preference."""
-
-_TIME_WORDS = ("time", "t", "zeit", "timestamp", "datetime", "temps", "tiempo", "tempo", "zeitstempel", "clock", "ts")
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?\s*", re.ASCII)
 _COMMA_NUMBER = re.compile(r"\s*[+-]?(\d+,?\d*|,\d+)([eEdD][+-]?\d+)?\s*", re.ASCII)
 _WITH_UNIT = re.compile(
@@ -161,29 +152,22 @@ def named(headers: Sequence[str], units: Sequence[str] = ()) -> tuple[list[str],
     split = [split_header(header) for header in headers]
     bare = [name for name, _ in split]
     names = [
-        name if bare.count(name) == 1 else header.strip() for (name, _), header in zip(split, headers, strict=True)
+        name if bare.count(name) == 1 or headers.count(header) > 1 else header.strip()
+        for (name, _), header in zip(split, headers, strict=True)
     ]
-    names = _numbered_clocks(names)
+    names = _numbered(names)
     below = [cell.strip().strip("[]()").strip() for cell in units] or [""] * len(names)
     said = {name: below[k] or split[k][1] for k, name in enumerate(names)}
     return names, {name: unit for name, unit in said.items() if unit}
 
 
-def is_time_name(name: str) -> bool:
-    """Return whether a name is one of time, perhaps with an addition: ``t_slow``, ``Time 2``, ``u time``."""
-    low = name.strip().lower()
-    words = re.findall(r"[^\W\d_]+", name)
-    if not words or "T" in (words[0], words[-1]):  # a temperature
-        return False
-    return low in TIME_NAMES or any(word.lower() in _TIME_WORDS for word in (words[0], words[-1]))
-
-
-def _numbered_clocks(names: list[str]) -> list[str]:
-    """Return names in which several time columns of one name have numbers."""
+def _numbered(names: list[str]) -> list[str]:
+    """Return names of which several equal ones have numbers; the first time column keeps its name."""
     found: list[str] = []
     for k, name in enumerate(names):
-        again = names[:k].count(name)
-        found.append(f"{name} {again + 1}" if again and is_time_name(name) else name)
+        number = names[: k + 1].count(name)
+        own = names.count(name) == 1 or not name or (number == 1 and is_time_name(name))
+        found.append(name if own else f"{name} {number}")
     return found
 
 
@@ -215,13 +199,17 @@ def find_head(rows: Sequence[Sequence[Cell]], decimal: str = ".") -> TableHeader
         above -= 1
     header, top = first - 1, _texts(rows[above + 1])
     index, *others = _texts(rows[header])
-    if index.lower() in TIME_NAMES and not any(others) and all(top):  # pandas names an index below several header rows
+    if plain_name(index) in TIME_NAMES and not any(others) and all(top):  # pandas names an index below
         return TableHeader((index, *top[1:]), (), first)
     step = _step_said(rows[:first], decimal)
     for k in range(above + 2, first):
         if _are_units(rows[k]):
             return TableHeader(_texts(rows[k - 1]), _texts(rows[k]), first, step, _rows_said(rows[:first]))
     names = _texts(rows[header])
+    if "" in names[1:] or len({*names}) < len(names):  # as how each column was made: Avg, Smp
+        for k in range(header - 1, above, -1):
+            if all(each := _texts(rows[k])) and len({*each}) == len(each) and any(map(is_unit, _texts(rows[k + 1]))):
+                return TableHeader(each, _texts(rows[k + 1]), first, step, _rows_said(rows[:first]))
     alike = [_texts(row) for row in rows[:header] if len(row) == len(names)]
     if alike and _are_units(rows[header]) and all(names[1:]):  # names are numbers of channels
         return TableHeader(alike[-1], names, first, step, _rows_said(rows[:first]))

@@ -15,6 +15,10 @@ from fmuid.errors import InputError
 
 CLOCKS = "clocks"
 """Attribute of a frame: column to time column. A time column has NaN in rows that are not its own."""
+_GRIDS = (1.0, 0.1, 0.01)
+"""Steps of rounded times, s."""
+_JITTER = 0.05
+"""Share of a step by which times of one row may differ besides a constant that nobody knows."""
 _WORDS = re.compile(r"[^\W\d_]+|\d+")
 
 
@@ -26,15 +30,31 @@ def same_clock(one: Floats, other: Floats, *, anywhere: bool = False) -> bool:
     difference = other[there] - one[there]
     if anywhere:
         difference = difference - difference[0]
-    coarser = max((_resolution(each[there]) for each in (one, other)), default=0.0)
-    rounded = anywhere and 0 < float(np.ptp(difference)) <= coarser * (1 + SAME)
-    return bool(np.abs(difference).max() <= SAME * usual_step(one[there])) or rounded
+    coarser = max((resolution(each[there]) for each in (one, other)), default=0.0)
+    usual = usual_step(one[there])
+    limit = max(coarser * (1 + SAME), _JITTER * usual)
+    rounded = anywhere and float(np.ptp(difference)) <= limit
+    return bool(np.abs(difference).max() <= SAME * usual) or rounded or (anywhere and _keep_step(one, other, limit))
 
 
-def _resolution(times: Floats) -> float:
-    """Return the step of repeated times, s; 0 without repetition."""
-    steps = np.diff(times)
-    return float(steps[steps > 0].min()) if (steps == 0).any() and (steps > 0).any() else 0.0
+def _keep_step(one: Floats, other: Floats, limit: float) -> bool:
+    """Return whether uneven steps are those of another clock that runs slower or faster."""
+    steps, others = np.diff(one), np.diff(other)
+    usual = usual_step(one)
+    uneven = np.abs(steps - usual) > usual / 2
+    alike = np.abs(steps - others) <= limit
+    return bool(uneven.mean() > 0.01 and alike.mean() > 0.99 and alike[uneven].mean() > 0.9)
+
+
+def resolution(times: Floats) -> float:
+    """Return the step of repeated or rounded times, s; 0 of others."""
+    steps = np.diff(times[np.isfinite(times)])
+    if steps.size == 0:
+        return 0.0
+    if (steps == 0).any() and (steps > 0).any():
+        return float(steps[steps > 0].min())
+    multiples = ((grid, steps / grid) for grid in _GRIDS)
+    return next((grid for grid, each in multiples if np.abs(each - np.round(each)).max() < SAME), 0.0)
 
 
 def assigned(names: Sequence[str], clocks: Sequence[str], there: Mapping[str, Flags], source: str) -> dict[str, str]:

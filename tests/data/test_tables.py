@@ -45,7 +45,7 @@ def test_csv_with_names_as_they_are_and_empty_cells(tmp_path: Path) -> None:
         ("0,1\n1,2\n", "no header. Write the names"),
         ("Times,u\n0,1\n", r"time column 'time' not found \(did you mean 'Times'\?\)"),
         ("This is\nno table\n", r"not found \(did you mean 'This is'|columns: This is\)"),
-        ("time,u,u\n0,1,2\n", "column 'u' occurs twice"),
+        (",u,\n0,1,2\n", "two columns have no name"),
         ('time,u\n"0,1",1.5\n', "'time': '0,1' in row 1 .*decimal points"),
         ("time,u\n2026-01-01T00:00,1\nsoon,2\n", "'time': 'soon' in row 2|2026-01-01T00:00' in row 1"),
         ("time,u\n01/02/2026 10:00,1\n01/02/2026 10:01,2\n", "day and month of .* are ambiguous"),
@@ -76,13 +76,48 @@ def test_empty_cells_at_the_end_of_rows_are_missing_samples_and_blank_lines_are_
     np.testing.assert_array_equal(table.to_numpy(), [[0, 1, 2], [1, 2, np.nan], [2, np.nan, np.nan]])
 
 
+def test_columns_of_one_name_have_numbers_and_are_not_chosen(tmp_path: Path) -> None:
+    frame = read_data(written(tmp_path, "Time (s),Voltage (V),Voltage (V)\n0,1,2\n1,3,4\n"))
+    assert [*frame.columns] == ["time", "Voltage 1", "Voltage 2"]
+    assert frame.attrs["units"] == {"Voltage 1": "V", "Voltage 2": "V"}
+    with pytest.raises(InputError, match=r"'Voltage' not found \(did you mean 'Voltage 2' or 'Voltage 1'"):
+        Experiment(frame, {"u": "Voltage"}, {"y": "Voltage 2"})
+
+
+@pytest.mark.parametrize(
+    ("text", "times"),
+    [
+        ("2026-01-31-09-01-24", "2026-01-31-09-02-24"),
+        ("31.01.2026 11:29:45am", "31.01.2026 11:30:45am"),
+        ("11.59am", "12.00pm"),
+        ("0d 00:01:0", "0d 00:02:0"),
+        ("\t01/31/2026 08:32:34.558", "\t01/31/2026 08:33:34.558"),
+    ],
+)
+def test_spellings_of_times(tmp_path: Path, text: str, times: str) -> None:
+    frame = read_data(written(tmp_path, f"time;u\n{text};1\n{times};2\n"))
+    np.testing.assert_allclose(frame["time"], [0.0, 60.0])
+
+
+def test_days_of_matlab_are_asked_for(tmp_path: Path) -> None:
+    path = written(tmp_path, "time,u\n737812.25,1\n737812.5,2\n")
+    with pytest.raises(InputError, match=r'may be in days\. Set time_unit = "d" or "s"'):
+        read_data(path)
+    np.testing.assert_allclose(np.diff(read_data(path, time_unit="d")["time"]), 21600.0)
+
+
+def test_times_within_a_step_are_no_clock(tmp_path: Path) -> None:
+    text = "step time,date,total time,u\n" + "".join(f"{k % 5},01.01.2026 10:00:0{k},{k},1\n" for k in range(8))
+    np.testing.assert_array_equal(read_data(written(tmp_path, text))["time"], np.arange(8.0))
+
+
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"none\.csv: file not found"):
         read_data(tmp_path / "none.csv")
     (tmp_path / "folder.csv").mkdir()
     with pytest.raises(InputError, match=r"folder\.csv: is a folder"):
         read_data(tmp_path / "folder.csv")
-    with pytest.raises(InputError, match=r"run\.docx: unknown format '\.docx'\. Use \.csv"):
+    with pytest.raises(InputError, match=r"run\.docx: unknown format '\.docx'\. Save it as \.csv"):
         read_data(written(tmp_path, "", "run.docx"))
     with pytest.raises(InputError, match="'without suffix'"):
         read_data(written(tmp_path, "", "run"))

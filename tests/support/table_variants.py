@@ -14,7 +14,7 @@ from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 from scipy.linalg import expm
 
-from tests.support import instrument_texts
+from tests.support import instrument_texts, logger_texts
 from tests.support.mat4 import characters, write_mat4
 
 MODEL = """
@@ -224,7 +224,7 @@ TEXTS: dict[str, tuple[str, str | bytes]] = {
 }  # fmt: skip
 
 
-TEXTS |= instrument_texts.texts(FRAME, DATES)
+TEXTS |= instrument_texts.texts(FRAME, DATES) | logger_texts.texts(FRAME, DATES)
 
 
 def write_gzip(path: Path) -> None:

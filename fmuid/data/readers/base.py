@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmuid.data.headers import TIME_NAMES, Array, Cell, is_time_name
+from fmuid.data.headers import Array, Cell
+from fmuid.data.time_names import TIME_NAMES, is_time_name, plain_name
 from fmuid.errors import InputError
 from fmuid.files import ContentError
 from fmuid.formatting import nearest
@@ -75,7 +76,7 @@ def columns_of_vectors(
     if not lengths:
         raise InputError(f"{source}: no numeric vectors. Save the columns as vectors of one length.")
     times = {name: value.size for name, value in vectors.items() if is_time_name(name.rpartition(separator)[2])}
-    plain = {size for name, size in times.items() if name.rpartition(separator)[2].lower() in TIME_NAMES}
+    plain = {size for name, size in times.items() if plain_name(name.rpartition(separator)[2]) in TIME_NAMES}
     length = max(lengths, key=lambda size: (size in plain, lengths[size], size))
     own: dict[str, str] = {}
     left_out: dict[str, str] = {}

@@ -63,6 +63,15 @@ def _labview(lines: Sequence[str], _source: str) -> Iterator[str]:
     yield from rows
 
 
+def _after_said_lines(lines: Sequence[str], _source: str) -> Iterator[str]:
+    """Yield a text that says the number of lines above its samples, the header being the last of them."""
+    yield from lines[int(lines[1].rpartition(":")[2]) - 1 :]
+
+
+def _text_of_dymola(_lines: Sequence[str], source: str) -> Iterator[str]:
+    raise InputError(f"{source}: a text result of Dymola. Save it as .mat or .csv.")
+
+
 def _check_count(found: int, said: str, source: str) -> None:
     """Refuse a table with fewer rows than its head says."""
     count = float(said or found)
@@ -73,6 +82,8 @@ def _check_count(found: int, said: str, source: str) -> None:
 _LAYOUTS: tuple[tuple[re.Pattern[str], Callable[[Sequence[str], str], Iterator[str]]], ...] = (
     (re.compile(r'"?Record Length"?,[^,\n]*,[^,\n]*,[^,\n]*\d,[^,\n]*\d', re.IGNORECASE), _one_channel),
     (re.compile(r"LabVIEW Measurement\b"), _labview),
+    (re.compile(r"[^\n]* ASCII FILE\s*\nNb header lines *: *\d+"), _after_said_lines),
+    (re.compile(r"#1\s*\nchar Aclass"), _text_of_dymola),
     (re.compile(r"X,.*\bStart,Increment\b.*\n"), _numbered),
     (re.compile(r"#1\s*\n(?:\s*#.*\n|\s*\n)*\s*(?:double|float)\s"), _modelica),
 )

@@ -220,7 +220,7 @@ def _without_blank_ends(rows: list[list[str]]) -> tuple[list[list[str]], int]:
     """Return rows without an always empty last cell, and its count."""
     usual = Counter(map(len, rows)).most_common(1)
     length = usual[0][0] if usual else 0
-    rows = [row[:length] if len(row) == length + 1 and row[-1].strip() == _COMMENTS else row for row in rows]
+    rows = [row[:length] if len(row) == length + 1 and row[-1].strip() in ("", _COMMENTS) else row for row in rows]
     ends = length > 1 and not any(row[-1].strip().removeprefix(_COMMENTS) for row in rows if len(row) == length)
     return [row[: length - 1] if len(row) == length else row for row in rows] if ends else rows, int(ends)
 

@@ -1,0 +1,40 @@
+"""Names of time columns."""
+
+from __future__ import annotations
+
+import re
+
+TIME_NAMES = (
+    "time", "t", "zeit", "timestamp", "timestamps", "time stamp", "zeitstempel", "datetime", "uhrzeit", "heure",
+    "hora", "date", "date/time", "date time", "datum", "datum/zeit", "datum zeit", "temps", "tiempo", "tempo", "tijd",
+    "tid", "czas", "čas", "zaman", "время", "時間", "时间", "時刻", "elapsed time", "relative time", "rel. time",
+    "test time", "seconds", "second", "sekunden", "x value", "x-axis", "zeitachse", "elapsed", "utc", "ts", "tout",
+    "date&time", "date & time", "date and time", "run time", "total time", "cumulative time", "testtime", "uts",
+    "測定時間", "経過時間", "日時", "测试时间", "记录时间", "总时间", "日期",
+)  # fmt: skip
+"""What tables call their time, in small letters, in the order of preference."""
+
+_OF_PARTS = {"step", "cycle", "cyc", "schritt", "load", "set", "half", "duration", "minutes"}
+"""Words beside time that count from the begin of a part."""
+_DECORATED = re.compile(r"^[%~#\s]+|\s*\([^()]*\)$")
+_TIME_WORDS = ("time", "t", "zeit", "timestamp", "datetime", "temps", "tiempo", "tempo", "zeitstempel", "clock", "ts")
+
+
+def plain_name(name: str) -> str:
+    """Return a name in small letters, without underscores, comment marks and a remark in brackets."""
+    return _DECORATED.sub("", name.lower().replace("_", " ")).strip() or name.strip().lower()
+
+
+def counts_part(name: str) -> bool:
+    """Return whether a name is one of times that begin again: ``step time``, ``StepTime``."""
+    return not _OF_PARTS.isdisjoint(re.findall(r"[^\W\d_]+", name.replace("Time", " ").lower()))
+
+
+def is_time_name(name: str) -> bool:
+    """Return whether a name is one of time, perhaps with an addition: ``t_slow``, ``Time 2``, ``u time``."""
+    words = re.findall(r"[^\W\d_]+", name)
+    if not words or "T" in (words[0], words[-1]):  # a temperature
+        return False
+    if counts_part(name):
+        return False
+    return plain_name(name) in TIME_NAMES or any(word.lower() in _TIME_WORDS for word in (words[0], words[-1]))

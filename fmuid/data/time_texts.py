@@ -1,0 +1,117 @@
+"""Texts of dates, times of day and durations, in seconds."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from fmuid.array_types import Floats
+from fmuid.errors import InputError
+from fmuid.units import SECONDS
+
+_ORDERS = (
+    "%d{0}%m{0}%Y",
+    "%m{0}%d{0}%Y",
+    "%Y{0}%m{0}%d",
+    "%d{0}%b{0}%Y",
+    "%d{0}%m{0}%y",
+    "%m{0}%d{0}%y",
+    "%y{0}%m{0}%d",
+)
+_DOTTED = ("%d{0}%m{0}%Y", "%d{0}%m{0}%y")
+"""With dots the day is first."""
+_CLOCKS = (" %H:%M:%S.%f", " %H:%M:%S", " %H:%M", " %I:%M:%S.%f %p", " %I:%M:%S %p", " %I:%M %p")
+_COLON = re.compile(r"(\d:\d{2}:\d{2}):(?=\d{1,6}$)")
+"""A colon before parts of a second."""
+_DATED = re.compile(r"\d+[./-]\w+[./-]\d+.*:")
+_CLOCK = re.compile(r"(\d+ days )?\d{1,3}:\d{2}(:\d{1,2}([.,]\d+)?)?")
+_OFFSET = r"(?:Z|[+-]\d{2}:?\d{2})$"
+_WITH_UNIT = re.compile(r"\s*(?P<number>[+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*(?P<unit>[a-zµ]+)\s*")
+_REWRITTEN = (
+    (re.compile(r"^\s+|\s+$"), ""),
+    (re.compile(r"^(\d{1,2})\.(\d{2})(?=\s?[AaPp]\.?[Mm]\.?$)"), r"\1:\2"),
+    (re.compile(r"(?<=\d)\s?([AaPp])\.?[Mm]\.?$"), r" \1m"),
+    (re.compile(r"^(\d{4}-\d{2}-\d{2})[-_ ](\d{2})-(\d{2})-(\d{2})$"), r"\1T\2:\3:\4"),
+    (re.compile(r"^(\d+)d\s+(?=\d{1,2}:)"), r"\1 days "),
+)
+"""Spellings of loggers and battery cyclers, and the usual ones."""
+_HALF_DAY = re.compile(r"\d{1,2}:\d{2}(:\d{2})? [ap]m", re.IGNORECASE)
+_HOUR, _DAY = 3600.0, 86_400.0
+
+
+def times_of(series: pd.Series[Any], column: str, source: str) -> tuple[Any, pd.Timestamp | None]:
+    """Return dates and times of day in s; else the series unchanged."""
+    if pd.api.types.is_timedelta64_dtype(series.dtype):
+        return series.dt.total_seconds(), None
+    if pd.api.types.is_datetime64_any_dtype(series.dtype):
+        return seconds_of(series)
+    is_text = series.dtype == object or pd.api.types.is_string_dtype(series.dtype)
+    texts = series.dropna().astype(str) if is_text else series[:0]
+    if texts.empty:
+        return series, None
+    for form, usual in _REWRITTEN:  # the first text tells the kind of many
+        if form.search(str(texts.iloc[0])):
+            texts = texts.str.replace(form, usual, regex=True)
+    first = str(texts.iloc[0])
+    if _HALF_DAY.fullmatch(first):
+        form_of_day = "%I:%M:%S %p" if first.count(":") == 2 else "%I:%M %p"
+        with suppress(ValueError):
+            texts = pd.to_datetime(texts, format=form_of_day).dt.strftime("%H:%M:%S")
+            first = texts.iloc[0]
+    if _CLOCK.fullmatch(first) and texts.map(lambda text: _CLOCK.fullmatch(text) is not None).all():
+        clock = texts.str.replace(",", ".").map(lambda text: f"{text}:00" if text.count(":") == 1 else text)
+        seconds = pd.to_timedelta(clock).dt.total_seconds()
+        if seconds.max() < _DAY:
+            seconds += _DAY * (seconds.diff() < -_DAY / 2).cumsum()  # past midnight
+        return (seconds - seconds.iloc[0]).reindex(series.index), None
+    if _WITH_UNIT.fullmatch(first):
+        cells = texts.map(_WITH_UNIT.fullmatch)
+        if cells.notna().all() and all(cell["unit"] in SECONDS for cell in cells):  # 0.01 sec
+            return cells.map(lambda cell: float(cell["number"]) * SECONDS[cell["unit"]]).reindex(series.index), None
+    texts = texts.str.replace(_COLON, r"\1.", regex=True) if _COLON.search(first) else texts
+    dates = _dates(texts, column, source)
+    return (series, None) if dates is None else seconds_of(dates.reindex(series.index))
+
+
+def seconds_of(dates: pd.Series[Any]) -> tuple[Any, pd.Timestamp]:
+    """Return dates as seconds from the first, and the first."""
+    begin = dates.iloc[0]
+    return (dates - begin).dt.total_seconds(), begin
+
+
+def check_local_times(dates: pd.Series[Any], seconds: Floats, column: str, source: str) -> None:
+    """Refuse dates without an offset that go back by one hour once."""
+    steps = np.diff(seconds)
+    back = np.flatnonzero(steps < 0)
+    if back.size == 1 and 0 <= steps[back[0]] + _HOUR <= 2 * np.median(steps):
+        before, after = dates.iloc[back[0] : back[0] + 2]
+        said = f"goes back by an hour in row {back[0] + 2} ({before} to {after})"
+        raise InputError(f"{source}: time column {column!r} {said}. Write times in UTC or with offsets (+01:00).")
+
+
+def _dates(texts: pd.Series[Any], column: str, source: str) -> pd.Series[Any] | None:
+    """Return texts as dates, None if they are none."""
+    with suppress(ValueError, TypeError):  # the other orders are tried below
+        return pd.to_datetime(texts, format="ISO8601")
+    with suppress(ValueError, TypeError):  # offsets that change where the clock is put forward or back
+        if re.search(_OFFSET, str(texts.iloc[0])) and texts.str.contains(_OFFSET, regex=True).all():
+            in_utc = pd.to_datetime(texts, format="ISO8601", utc=True)
+            return in_utc.dt.tz_convert(pd.Timestamp(texts.iloc[0]).tz)
+    if not _DATED.search(str(texts.iloc[0])) or not texts.str.contains(_DATED).all():
+        return None
+    points = texts.str.replace(",", ".")
+    dotted = re.match(r"\d{1,2}\.\d{1,2}\.", str(texts.iloc[0]))
+    orders = _DOTTED if dotted else _ORDERS
+    forms = [order.format(mark) + clock for order, mark, clock in itertools.product(orders, "./-", _CLOCKS)]
+    fitting = [form for form in forms if not pd.isna(pd.to_datetime(points.iloc[0], format=form, errors="coerce"))]
+    every = [pd.to_datetime(points, format=form, errors="coerce") for form in fitting]
+    readings = [read for read in every if not read.isna().any()]
+    if any(not (read == readings[0]).all() for read in readings[1:]):
+        said = f"day and month of {texts.iloc[0]!r} are ambiguous"
+        raise InputError(f"{source}: column {column!r}: {said}. Write dates as 2026-02-28 12:00:00.")
+    return readings[0] if readings else None

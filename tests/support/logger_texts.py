@@ -1,0 +1,69 @@
+"""The record of `tests.support.table_variants` as battery cyclers and data loggers write texts."""
+
+from __future__ import annotations
+
+import pandas as pd
+
+TOA5 = """"TOA5","rig","CR1000","1","CR1000.Std.16","CPU:rig.CR1","6524","Table"
+"TIMESTAMP","RECORD","u","i","w"
+"TS","RN","V","A","rad/s"
+"","","Smp","Avg","Avg"
+"""
+BIOLOGIC = """EC-Lab ASCII FILE
+Nb header lines : 6
+
+Acquisition started on : 11/22/2026 10:30:00
+Bandwidth           4                   4
+mode\ttime/s\tstep time/s\tu/V\ti/A\tw\t
+"""
+MACCOR = """Today's Date:\t22 November 2026\tDate of Test:\t22 November 2026
+Filename:\trig\tTester Channel:\t1
+Rec#\tTestTime\tStepTime\tu\ti\tw\tState\tDPt Time\tAux #1\t Units\tAux #2\t Units
+"""
+GAMRY = """EXPLAIN
+TAG\tCHRONOA
+TITLE\tLABEL\trig\tTest &Identifier
+CURVE\tTABLE\t120
+\tPt\tT\tu\ti\tw\tOver
+\t#\ts\tV\tA\trad/s\tbits
+"""
+NOVONIX = """[Summary]
+Novonix UHPC data file
+[End Protocol]
+[Data]
+Date and Time,Cycle Number,Run Time (h),Step Time (h),u (V),i (A),w
+"""
+PEC = """Request Year:,2026
+Test:,25195
+Test,Cell,Cell ID,Total Time (Hours in hh:mm:ss.xxx),Load On Time (Hours in hh:mm:ss.xxx),u (V),i (A),w
+"""
+NEWARE = "DataPoint,Step Type,Time,Cumulative Time,u(V),i(A),w\n"
+ARBIN = "Data Point,Date Time,Test Time (s),Step Time (s),u (V),i (A),w\n"
+APART = "Date,Time,u [V],i [A],w[rad/s]\n"
+
+
+def texts(frame: pd.DataFrame, dates: pd.Series) -> dict[str, tuple[str, str]]:
+    """Return file name and text of each logger, of a record of time, u, i, w in steps of 10 ms."""
+    rows: list[list[float]] = frame[["time", "u", "i", "w"]].to_numpy().tolist()
+    again = [k % 40 / 100 for k in range(len(rows))]
+    clock = [f"00:00:{row[0]:06.3f}" for row in rows]
+
+    def table(head: str, form: str) -> str:
+        """Return a text with one line a row."""
+        return head + "".join(
+            form.format(k=k, t=t, h=t / 3600, s=again[k], c=clock[k], d=date, u=u, i=i, w=w) + "\n"
+            for k, ((t, u, i, w), date) in enumerate(zip(rows, dates, strict=True))
+        )
+
+    maccor = "{k}\t  0d {c}\t  0d 00:00:{s:05.2f}\t{u}\t{i}\t{w}\tR\t{d:%m/%d/%Y %H:%M:%S}\t2.1\t C  \t2.2\t C  "
+    return {
+        "Campbell TOA5": ("a.dat", table(TOA5, '"{d:%Y-%m-%d %H:%M:%S.%f}",{k},{u},{i},{w}')),
+        "BioLogic": ("a.mpt", table(BIOLOGIC, "1\t{t:.15E}\t{s:.15E}\t{u}\t{i}\t{w}")),
+        "Arbin": ("a.csv", table(ARBIN, "{k},\t{d:%m/%d/%Y %H:%M:%S.%f},{t},{s},{u},{i},{w}")),
+        "Maccor": ("a.txt", table(MACCOR, maccor)),
+        "Gamry": ("a.DTA", table(GAMRY, "\t{k}\t{t}\t{u}\t{i}\t{w}\t...........")),
+        "Novonix": ("a.csv", table(NOVONIX, "{d:%Y-%m-%d %H:%M:%S},1,{h},0.1,{u},{i},{w}")),
+        "PEC": ("a.csv", table(PEC, "25195,1,34_6,{c},00:00:{s:06.3f},{u},{i},{w}")),
+        "Neware": ("a.csv", table(NEWARE, "{k},Rest,00:00:{s:06.3f},{c},{u},{i},{w}")),
+        "date and time apart": ("a.csv", table(APART, "{d:%d.%m.%Y},{d:%H:%M:%S.%f},{u},{i},{w}")),
+    }
