@@ -273,7 +273,7 @@ def _column(raw: RawTable, time: str | int, source: str) -> str | None:
 
 
 def _best_clock(raw: RawTable, names: Sequence[str], source: str) -> str:
-    """Return the time column without steps back and repetitions, of these the least rounded; else the first."""
+    """Return the time column that increases, the least rounded of several."""
     best, least = names[0], (np.inf, np.inf, np.inf)
     for name in names:
         try:

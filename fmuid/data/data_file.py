@@ -137,7 +137,7 @@ def read_data(
 
 
 def _is_text(path: Path) -> bool:
-    """Return whether a file of an unknown suffix is text in an 8-bit encoding."""
+    """Return whether a file begins with 8-bit text."""
     with path.open("rb") as file:
         start = file.read(1 << 12)
     return bool(start) and all(byte > 31 or byte in b"\t\n\r\f" for byte in start)

@@ -38,7 +38,7 @@ def same_clock(one: Floats, other: Floats, *, anywhere: bool = False) -> bool:
 
 
 def _keep_step(one: Floats, other: Floats, limit: float) -> bool:
-    """Return whether uneven steps are those of another clock that runs slower or faster."""
+    """Return whether two clocks share their uneven steps."""
     steps, others = np.diff(one), np.diff(other)
     usual = usual_step(one)
     uneven = np.abs(steps - usual) > usual / 2

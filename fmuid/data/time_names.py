@@ -21,7 +21,7 @@ _TIME_WORDS = ("time", "t", "zeit", "timestamp", "datetime", "temps", "tiempo", 
 
 
 def plain_name(name: str) -> str:
-    """Return a name in small letters, without underscores, comment marks and a remark in brackets."""
+    """Return a name in small letters without marks and remarks."""
     return _DECORATED.sub("", name.lower().replace("_", " ")).strip() or name.strip().lower()
 
 

@@ -64,7 +64,7 @@ def _labview(lines: Sequence[str], _source: str) -> Iterator[str]:
 
 
 def _after_said_lines(lines: Sequence[str], _source: str) -> Iterator[str]:
-    """Yield a text that says the number of lines above its samples, the header being the last of them."""
+    """Yield BioLogic: the second line counts those of the head."""
     yield from lines[int(lines[1].rpartition(":")[2]) - 1 :]
 
 
