@@ -15,7 +15,7 @@ from fmuid.data.coarse_clock import regular_times
 from fmuid.data.headers import RawTable, split_header
 from fmuid.data.several_clocks import assigned, joined, resolution, same_clock
 from fmuid.data.time_names import TIME_NAMES, counts_part, is_time_name, plain_name
-from fmuid.data.time_texts import check_local_times, seconds_of, times_of
+from fmuid.data.time_texts import check_local_times, days_of, seconds_of, time_of_day, times_of
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
 from fmuid.units import SECONDS, TIME_UNITS, time_unit
@@ -89,7 +89,7 @@ def with_time(
     main = _clock(raw, column, unit, source)
     if not pd.api.types.is_numeric_dtype(np.asarray(main.values).dtype):  # refused by the reader, with its row
         return TimedTable(raw.frame.rename(columns={column: name}))
-    main = _with_milliseconds(raw, main)
+    main = _with_milliseconds(raw, _with_days(raw, main, source))
     others, notes = _other_clocks(raw, main, unit, clocks, source)
     frame = raw.frame
     if others:
@@ -233,6 +233,18 @@ def _with_milliseconds(raw: RawTable, clock: _Clock) -> _Clock:
     values, parts = clock.seconds(), raw.frame[found[0]].to_numpy(dtype=np.float64)
     whole = not (values % 1.0).any() and (np.diff(values) == 0.0).any()
     return replace(clock, values=values + parts / 1e3) if whole and parts.min() >= 0.0 and parts.max() < 1e3 else clock
+
+
+def _with_days(raw: RawTable, clock: _Clock, source: str) -> _Clock:
+    """Return a clock of times of day with the dates of a column of their own."""
+    found = [str(name) for name in raw.frame.columns if plain_name(str(name)) in _DATES and name != clock.name]
+    if clock.begin is not None or len(found) != 1 or (part := time_of_day(raw.frame[clock.name])) is None:
+        return clock
+    days = days_of(raw.frame[found[0]], found[0], source)
+    if days is None:
+        return clock
+    first = pd.Timedelta(seconds=float(part.iloc[0]))
+    return replace(clock, values=days[0] + part - part.iloc[0], begin=days[1] + first)
 
 
 def _column(raw: RawTable, time: str | int, source: str) -> str | None:

@@ -149,7 +149,7 @@ def is_unit(text: str) -> bool:
 
 def named(headers: Sequence[str], units: Sequence[str] = ()) -> tuple[list[str], dict[str, str]]:
     """Return the names and units of columns; names that differ in the unit only keep it."""
-    split = [split_header(header) for header in headers]
+    split = _split_alike(headers)
     bare = [name for name, _ in split]
     names = [
         name if bare.count(name) == 1 or headers.count(header) > 1 else header.strip()
@@ -159,6 +159,21 @@ def named(headers: Sequence[str], units: Sequence[str] = ()) -> tuple[list[str],
     below = [cell.strip().strip("[]()").strip() for cell in units] or [""] * len(names)
     said = {name: below[k] or split[k][1] for k, name in enumerate(names)}
     return names, {name: unit for name, unit in said.items() if unit}
+
+
+def _split_alike(headers: Sequence[str]) -> list[tuple[str, str | None]]:
+    """Return names and units: where one header is ``w[rpm]``, ``q[ccps]`` has an unknown unit."""
+    split = [split_header(header) for header in headers]
+    found = [_WITH_UNIT.fullmatch(" ".join(header.split())) for header in headers]
+    alike = [each if each and each["square"] and not each["gap"] else None for each in found]
+    if not any(each and unit for each, (_, unit) in zip(alike, split, strict=True)):
+        return split
+    return [
+        (each["name"], each["square"].strip())
+        if unit is None and each and not _INDEX.fullmatch(each["square"])
+        else (name, unit)
+        for each, (name, unit) in zip(alike, split, strict=True)
+    ]
 
 
 def _numbered(names: list[str]) -> list[str]:

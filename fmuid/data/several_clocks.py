@@ -17,6 +17,8 @@ CLOCKS = "clocks"
 """Attribute of a frame: column to time column. A time column has NaN in rows that are not its own."""
 _GRIDS = (1.0, 0.1, 0.01)
 """Steps of rounded times, s."""
+_NO_DELAY = 1e-4
+"""Share of a step by which the times of two clocks differ without effect."""
 _JITTER = 0.05
 """Share of a step by which times of one row may differ besides a constant that nobody knows."""
 _WORDS = re.compile(r"[^\W\d_]+|\d+")
@@ -34,7 +36,9 @@ def same_clock(one: Floats, other: Floats, *, anywhere: bool = False) -> bool:
     usual = usual_step(one[there])
     limit = max(coarser * (1 + SAME), _JITTER * usual)
     rounded = anywhere and float(np.ptp(difference)) <= limit
-    return bool(np.abs(difference).max() <= SAME * usual) or rounded or (anywhere and _keep_step(one, other, limit))
+    if rounded or float(np.abs(difference).max()) <= _NO_DELAY * usual:
+        return True
+    return anywhere and _keep_step(one, other, limit)
 
 
 def _keep_step(one: Floats, other: Floats, limit: float) -> bool:

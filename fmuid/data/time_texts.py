@@ -54,9 +54,7 @@ def times_of(series: pd.Series[Any], column: str, source: str) -> tuple[Any, pd.
     texts = series.dropna().astype(str) if is_text else series[:0]
     if texts.empty:
         return series, None
-    for form, usual in _REWRITTEN:  # the first text tells the kind of many
-        if form.search(str(texts.iloc[0])):
-            texts = texts.str.replace(form, usual, regex=True)
+    texts = _usual(texts)
     first = str(texts.iloc[0])
     if _HALF_DAY.fullmatch(first):
         form_of_day = "%I:%M:%S %p" if first.count(":") == 2 else "%I:%M %p"
@@ -76,6 +74,44 @@ def times_of(series: pd.Series[Any], column: str, source: str) -> tuple[Any, pd.
     texts = texts.str.replace(_COLON, r"\1.", regex=True) if _COLON.search(first) else texts
     dates = _dates(texts, column, source)
     return (series, None) if dates is None else seconds_of(dates.reindex(series.index))
+
+
+def _usual(texts: pd.Series[Any]) -> pd.Series[Any]:
+    """Return texts in the usual spelling; the first tells the kind of many."""
+    for form, usual in _REWRITTEN:
+        if form.search(str(texts.iloc[0])):
+            texts = texts.str.replace(form, usual, regex=True)
+    return texts
+
+
+def days_of(series: pd.Series[Any], column: str, source: str) -> tuple[Any, pd.Timestamp] | None:
+    """Return a column of dates without times in s, and the first; None if it is none or of one day."""
+    if pd.api.types.is_datetime64_any_dtype(series.dtype):
+        days = series
+    else:
+        texts = series.dropna().astype(str)
+        known = texts.drop_duplicates()
+        if len(known) < 2 or len(texts) < len(series) or known.str.contains(":").any():
+            return None
+        dates = _dates(_usual(known) + " 00:00", column, source)
+        if dates is None:
+            return None
+        days = texts.map(dict(zip(known, dates, strict=True)))
+    if days.isna().any() or days.nunique() < 2 or (days != days.dt.normalize()).any():
+        return None
+    return seconds_of(days)
+
+
+def time_of_day(series: pd.Series[Any]) -> Any:
+    """Return times of the day in s, None if a column holds others."""
+    is_text = series.dtype == object or pd.api.types.is_string_dtype(series.dtype)
+    if not is_text or series.isna().any() or series.empty:
+        return None
+    texts = _usual(series.astype(str)).str.replace(_COLON, r"\1.", regex=True)
+    if not texts.map(lambda text: _CLOCK.fullmatch(text) is not None).all() or texts.str.contains("day").any():
+        return None
+    whole = texts.str.replace(",", ".").map(lambda text: f"{text}:00" if text.count(":") == 1 else text)
+    return pd.to_timedelta(whole).dt.total_seconds()
 
 
 def seconds_of(dates: pd.Series[Any]) -> tuple[Any, pd.Timestamp]:

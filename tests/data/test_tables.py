@@ -111,6 +111,35 @@ def test_times_within_a_step_are_no_clock(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_data(written(tmp_path, text))["time"], np.arange(8.0))
 
 
+def test_times_of_day_have_the_dates_beside_them(tmp_path: Path) -> None:
+    text = "Date,Time,u\n01/30/2026,23:00:00,1\n01/30/2026,24:00,2\n02/02/2026,01:00:00,3\n"
+    frame = read_data(written(tmp_path, text))
+    np.testing.assert_array_equal(frame["time"], np.multiply([0.0, 1.0, 50.0], 3600.0))
+    assert frame.attrs["begin"].isoformat() == "2026-01-30T23:00:00"
+
+
+def test_a_unit_beside_units_is_one(tmp_path: Path) -> None:
+    frame = read_data(written(tmp_path, "Time[s],q[ccps],w[rpm],x[1]\n0,1,2,3\n1,2,3,4\n"))
+    assert frame.attrs["units"] == {"q": "ccps", "w": "rpm"}
+
+
+def test_numbers_below_words_have_no_header(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no header above the 2 numbers of line 3\. Insert a line with their names"):
+        read_data(written(tmp_path, "of the rig\nrun\n0 1\n1 2\n2 4\n"))
+    assert [*read_data(written(tmp_path, "of the rig\nrun\ntime u\n0 1\n1 2\n2 4\n")).columns] == ["time", "u"]
+
+
+def test_each_column_of_two_lengths_has_its_times(tmp_path: Path) -> None:
+    """Also where the columns of the longer one are most."""
+    one = {"time": np.arange(5.0), "u": np.arange(5.0)}
+    two = {"time": np.arange(12.0) / 2, "y": np.arange(12.0), "z": np.arange(12.0)}
+    savemat(tmp_path / "a.mat", {"id": one, "val": two})
+    frame = read_data(tmp_path / "a.mat")
+    there = frame["val.y"].notna()
+    np.testing.assert_array_equal(frame["time"][there], np.arange(12.0) / 2)
+    np.testing.assert_array_equal(frame["time"][frame["id.u"].notna()], np.arange(5.0))
+
+
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"none\.csv: file not found"):
         read_data(tmp_path / "none.csv")

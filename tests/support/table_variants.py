@@ -368,6 +368,14 @@ def write_vectors(path: Path, vectors: Mapping[str, Any]) -> None:
             file[name] = values
 
 
+IDDATA = {
+    "InputData": np.array([COLUMNS["u"][:, None], None], dtype=object)[:1],
+    "OutputData": np.array([FRAME[["i", "w"]].to_numpy(), None], dtype=object)[:1],
+    **{"Ts": 0.01, "Tstart": 0.0, "SamplingInstants": [], "TimeUnit": "seconds"},
+    **{name: np.array([cell], dtype=object) for name, cell in (("InputName", "u"), ("InputUnit", "V"))},
+    **{"OutputName": np.array(["i", "w"], dtype=object), "OutputUnit": np.array(["A", "rad/s"], dtype=object)},
+}
+"""An object of MATLAB's System Identification Toolbox, as it is stored."""
 RIG, DRIVE = ["Rig 4", None, None, None], [None, "Drive", None, None]
 Write = Callable[[Path], object]
 FILES: dict[str, Write] = {
@@ -377,6 +385,7 @@ FILES: dict[str, Write] = {
     "a.xlsx": write_sheet,
     "a.ods": write_sheet,
     "units.xlsx": lambda path: write_rows(path, [*FRAME], ["ms", "V", "A", "rad/s"], frame=MS),
+    "texts.xlsx": lambda path: write_rows(path, [*FRAME], frame=FRAME.map(repr)),
     "heads.xlsx": lambda path: write_rows(path, RIG, DRIVE, [*FRAME], ["s", "V", "A", "rad/s"]),
     "dates.xlsx": lambda path: FRAME.assign(time=DATES).to_excel(path, index=False),
     "index.xlsx": FRAME.to_excel,
@@ -407,6 +416,7 @@ FILES: dict[str, Write] = {
     "scope.mat": lambda path: savemat(path, {"Scope": {"time": COLUMNS["time"][:, None], "signals": signals()}}),
     "scope-matrix.mat": lambda path: savemat(path, {"Scope": one_signal(FRAME[["u", "i", "w"]])}),
     "scope73.mat": write_scope73,
+    "iddata.mat": lambda path: savemat(path, {"data": IDDATA}),
     "tout.mat": lambda path: savemat(path, {"tout" if name == "time" else name: v for name, v in COLUMNS.items()}),
     "recording.mat": write_control_desk,
     "rates.tdms": write_two_rates,

@@ -84,7 +84,7 @@ def columns_of_vectors(
         fitting = [clock for clock, size in times.items() if size == value.size > 1]
         beside = [clock for clock in fitting if clock.rpartition(separator)[0] == name.rpartition(separator)[0]]
         fitting = beside if len(beside) == 1 else fitting
-        if value.size != length and len(fitting) == 1:
+        if len(fitting) == 1 and len(times) > 1:
             own[name] = fitting[0]
         elif value.size != length and value.size > 1:
             left_out[name] = f"{value.size} samples in place of {length}, without times of their own"

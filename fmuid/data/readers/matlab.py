@@ -29,7 +29,7 @@ def read_mat(path: Path, source: str, _sheet: object) -> FileColumns:
         return _result_columns(source, content)
     variables = {name: _plain(value) for name, value in content.items()}
     if not any(_vectors(variables)) and "MatlabOpaque" in str({value.dtype for value in content.values()}):
-        said = "MATLAB tables and timetables are not readable"
+        said = "MATLAB objects, tables and timetables are not readable"
         raise InputError(f"{source}: {said}. Use writetimetable, parquetwrite or vectors.")
     return _of_variables(source, variables)
 
@@ -48,7 +48,7 @@ def _content(path: Path) -> Arrays:
         warnings.filterwarnings("error", r'Duplicate variable name "(?!None")|.*may be corrupt')
         # Characters stay single: names of a transposed result file stand in columns.
         content = loadmat(path, chars_as_strings=False)
-    return {name: value for name, value in content.items() if isinstance(value, np.ndarray)}
+    return {name: value for name, value in content.items() if isinstance(value, np.ndarray) and name[:2] != "__"}
 
 
 def _plain(value: Any) -> Any:
@@ -70,7 +70,9 @@ def _vectors(variables: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[s
     for name, value in variables.items():
         if isinstance(value, Mapping) and {"time", "signals"} <= set(value):
             yield from _of_simulink(value, f"{prefix}{name}.")
-        elif isinstance(value, Mapping) and {"X", "Y"} <= set(value):
+        elif isinstance(value, Mapping) and {"InputData", "OutputData", "Ts"} <= set(value):
+            yield from _of_identification(value, f"{prefix}{name}.")
+        elif isinstance(value, Mapping) and {"X", "Y"} <= set(value) and all(map(_is_axis, _all(value["Y"]))):
             yield from _of_control_desk(value, f"{prefix}{name}.")
         elif isinstance(value, Mapping):
             yield from _vectors(value, f"{prefix}{name}.")
@@ -105,6 +107,25 @@ def _of_simulink(given: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, A
             yield prefix + name, values, ""
         elif values.ndim == 2:
             yield from ((f"{prefix}{name}{j + 1}", values[:, j], "") for j in range(values.shape[1]))
+
+
+def _of_identification(given: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Array, str]]:
+    """Yield times, inputs and outputs of the first experiment of an iddata object."""
+    first = {key: value[0] if isinstance(value, list) and value else value for key, value in given.items()}
+    outputs, step, start = (np.asarray(first[key]) for key in ("OutputData", "Ts", "Tstart"))
+    sampled = np.asarray(first.get("SamplingInstants", []))
+    times = sampled if sampled.size else np.sum(start) + np.sum(step) * np.arange(len(outputs))
+    if sampled.size or step.size == 1:
+        yield f"{prefix}time", np.ravel(times), str(given.get("TimeUnit", "") or "")
+    for role in ("Input", "Output"):
+        data = np.asarray(first[f"{role}Data"])
+        names, units = (_all(given.get(f"{role}{word}", [])) for word in ("Name", "Unit"))
+        if data.ndim == 2 and data.shape[1] == len(names):
+            yield from ((f"{prefix}{name}", data[:, k], units[k]) for k, name in enumerate(names))
+
+
+def _is_axis(value: Any) -> bool:
+    return isinstance(value, Mapping) and {"Name", "Data"} <= set(value)
 
 
 def _of_control_desk(given: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Array, str]]:

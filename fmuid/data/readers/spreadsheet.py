@@ -7,7 +7,7 @@ import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from fmuid.data.headers import Cell, TableHeader, check_units, find_head, is_missing
+from fmuid.data.headers import Cell, TableHeader, check_units, find_head, is_missing, numbers_of
 from fmuid.data.readers.base import FileColumns, array_of_cells, chosen, library
 from fmuid.errors import InputError
 from fmuid.units import SECONDS
@@ -33,13 +33,23 @@ def read_spreadsheet(path: Path, source: str, sheet: str | int | None) -> FileCo
 
 def _columns(rows: list[list[Cell]], head: TableHeader, path: Path) -> FileColumns:
     samples = [[None if is_missing(cell) else cell for cell in row] for row in rows[head.first :]]
-    cells = [[row[k] for row in samples] for k in range(len(head.names))]
+    cells = [_numbers([row[k] for row in samples]) for k in range(len(head.names))]
     whole = _shown_as_whole(path)
     broken = [[each for each in column[:100] if isinstance(each, float) and each % 1] for column in cells]
     days = tuple(
         k for k, values in enumerate(broken) if values and (_are_days(values) if whole is None else values[0] in whole)
     )
     return FileColumns(head.names, tuple(map(array_of_cells, cells)), below=head.units, days=days)
+
+
+def _numbers(cells: list[Cell]) -> list[Cell]:
+    """Return cells whose texts are all numbers as these."""
+    there = [cell for cell in cells if isinstance(cell, str)]
+    if not there or len(there) < len(cells) - cells.count(None):
+        return cells
+    found = numbers_of(there, ".") or numbers_of(there, ",")
+    numbers = iter(found or ())
+    return [None if cell is None else next(numbers) for cell in cells] if found else cells
 
 
 def _shown_as_whole(path: Path) -> set[float] | None:

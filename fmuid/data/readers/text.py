@@ -255,6 +255,7 @@ def _as_it_is(source: str, text: str) -> _Layout:
         raise InputError(f"{source}: {said}. End them in line feeds.") from None
     if not read or not any(cell.strip() for cell in read[0][1]):
         raise InputError(f"{source}: empty. Give a header with names, and rows of samples.")
+    _check_head(source, text)
     rows = [row for _, row in read]
     header = tuple(cell.strip() for cell in rows[0])
     if all(is_number(name) for name in header) or is_number(header[0], ","):
@@ -263,6 +264,18 @@ def _as_it_is(source: str, text: str) -> _Layout:
         said = f"{len(header)} names in the header, {_cells(len(rows[1]))} in row 1"
         raise InputError(f'{source}: {said}. Quote names with commas ("x[1,2]").')
     return _Layout(",", ".", TableHeader(header, (), 1), read[0][0], len(header))
+
+
+def _check_head(source: str, text: str) -> None:
+    """Refuse rows of numbers below lines that are no header."""
+    for separator in _SEPARATORS:
+        with suppress(csv.Error):
+            read = list(islice(_rows(io.StringIO(text), separator), 200))
+            cells = [len(row) if all(map(is_number, row)) else 0 for _, row in read]
+            for k in range(1, len(read) - 2):
+                if cells[k] > 1 and len(read[k - 1][1]) != cells[k] == cells[k + 1] == cells[k + 2]:
+                    said = f"no header above the {cells[k]} numbers of line {read[k][0]}"
+                    raise InputError(f"{source}: {said}. Insert a line with their names.")
 
 
 def _parsed(opened: Callable[[], IO[bytes]], layout: _Layout, names: list[str], *, fast: bool) -> pd.DataFrame:
