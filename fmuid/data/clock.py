@@ -99,6 +99,7 @@ def with_time(
         there |= {clock: np.isfinite(values) for clock, values in seconds.items()}
         given = clocks or raw.clocks
         found = {each: given.get(each, main.name) for each in names if each not in seconds}
+        found = {each: clock if clock in seconds else main.name for each, clock in found.items()}  # the same times
         found = found if given else assigned(names, [each for each in names if each in seconds], there, source)
         final = {each: f"{clock} 1" if clock == name else clock for each, clock in found.items()}
         return TimedTable(joined(frame, name, seconds, found, source), main.begin, final, notes)
@@ -199,6 +200,8 @@ def _likely_clock(raw: RawTable, name: str, unit: str | None, usual: str | None,
         return None
     steps = np.diff(times[np.isfinite(times)])
     if steps.size < 2 or (steps < 0).any() or not (steps > 0).any():
+        return None
+    if clock.begin is not None and (steps == 0).any() and not (steps % SECONDS["d"]).any():  # days of other times
         return None
     usual_one = np.median(steps)
     regular = float((np.abs(steps - usual_one) <= 0.5 * usual_one).mean()) > 0.9

@@ -54,7 +54,7 @@ def read_data(
     - ``.parquet``, ``.feather``, ``.json``: a named index becomes a column.
     - ``.xlsx``, ``.xls``, ``.ods`` (``pip install "fmuid[excel]"``).
     - ``.mat`` of MATLAB (``fmuid[hdf]`` for version 7.3): vectors of the most common length and matrices with named
-      columns, also in structures.
+      columns, also in structures; `iddata` objects.
     - ``.mat`` of OpenModelica and Dymola (results): each variable becomes a column.
     - ``.h5``, ``.hdf5`` (``fmuid[hdf]``), ``.tdms`` (``fmuid[tdms]``), ``.mf4``, ``.mdf`` (``fmuid[mdf]``).
 

@@ -116,6 +116,7 @@ def test_times_of_day_have_the_dates_beside_them(tmp_path: Path) -> None:
     frame = read_data(written(tmp_path, text))
     np.testing.assert_array_equal(frame["time"], np.multiply([0.0, 1.0, 50.0], 3600.0))
     assert frame.attrs["begin"].isoformat() == "2026-01-30T23:00:00"
+    assert not frame.attrs.get("clocks")
 
 
 def test_a_unit_beside_units_is_one(tmp_path: Path) -> None:
@@ -138,6 +139,8 @@ def test_each_column_of_two_lengths_has_its_times(tmp_path: Path) -> None:
     there = frame["val.y"].notna()
     np.testing.assert_array_equal(frame["time"][there], np.arange(12.0) / 2)
     np.testing.assert_array_equal(frame["time"][frame["id.u"].notna()], np.arange(5.0))
+    savemat(tmp_path / "b.mat", {"id": one, "t": one["time"], "val": two})
+    np.testing.assert_array_equal(read_data(tmp_path / "b.mat")["time"][there], np.arange(12.0) / 2)
 
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
