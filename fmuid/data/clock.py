@@ -239,7 +239,7 @@ def _with_milliseconds(raw: RawTable, clock: _Clock) -> _Clock:
 
 
 def _with_days(raw: RawTable, clock: _Clock, source: str) -> _Clock:
-    """Return a clock of times of day with the dates of a column of their own."""
+    """Return a clock of times of day with the dates beside it."""
     found = [str(name) for name in raw.frame.columns if plain_name(str(name)) in _DATES and name != clock.name]
     if clock.begin is not None or len(found) != 1 or (part := time_of_day(raw.frame[clock.name])) is None:
         return clock

@@ -103,7 +103,7 @@ def days_of(series: pd.Series[Any], column: str, source: str) -> tuple[Any, pd.T
 
 
 def time_of_day(series: pd.Series[Any]) -> Any:
-    """Return times of the day in s, None if a column holds others."""
+    """Return times of the day in s, else None."""
     is_text = series.dtype == object or pd.api.types.is_string_dtype(series.dtype)
     if not is_text or series.isna().any() or series.empty:
         return None

@@ -110,7 +110,7 @@ def _of_simulink(given: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, A
 
 
 def _of_identification(given: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Array, str]]:
-    """Yield times, inputs and outputs of the first experiment of an iddata object."""
+    """Yield times and signals of the first experiment of iddata."""
     first = {key: value[0] if isinstance(value, list) and value else value for key, value in given.items()}
     outputs, step, start = (np.asarray(first[key]) for key in ("OutputData", "Ts", "Tstart"))
     sampled = np.asarray(first.get("SamplingInstants", []))
