@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from pandas.api.types import is_float_dtype
 
 from fmuid.array_types import Flags, Floats
 from fmuid.data.filters import SAME, usual_step
@@ -17,8 +19,6 @@ CLOCKS = "clocks"
 """Attribute of a frame: column to time column. A time column has NaN in rows that are not its own."""
 _GRIDS = (1.0, 0.1, 0.01)
 """Steps of rounded times, s."""
-_NO_DELAY = 1e-4
-"""Share of a step by which the times of two clocks differ without effect."""
 _JITTER = 0.05
 """Share of a step by which times of one row may differ besides a constant that nobody knows."""
 _WORDS = re.compile(r"[^\W\d_]+|\d+")
@@ -36,7 +36,7 @@ def same_clock(one: Floats, other: Floats, *, anywhere: bool = False) -> bool:
     usual = usual_step(one[there])
     limit = max(coarser * (1 + SAME), _JITTER * usual)
     rounded = anywhere and float(np.ptp(difference)) <= limit
-    if rounded or float(np.abs(difference).max()) <= _NO_DELAY * usual:
+    if rounded or float(np.abs(difference).max()) <= 100 * SAME * usual:
         return True
     return anywhere and _keep_step(one, other, limit)
 
@@ -143,7 +143,7 @@ def joined(
     apart = np.diff(every, prepend=-np.inf) > SAME * min(map(usual_step, own.values()))
     times = every[apart]
     places = {clock: np.searchsorted(times, each * (1 + 1e-15), side="right") - 1 for clock, each in own.items()}
-    found: dict[str, object] = {time: times}
+    found: dict[str, Any] = {time: times}
     for clock, place in places.items():
         at = np.full(times.size, np.nan)
         at[place] = own[clock]
@@ -151,7 +151,12 @@ def joined(
     for column in frame.columns:
         if column in clocks:
             clock = clocks[column]
-            found[column] = frame[column][rows[clock]].set_axis(places[clock]).reindex(np.arange(times.size))
+            samples = frame[column][rows[clock]]
+            if is_float_dtype(samples.dtype):
+                found[column] = np.full(times.size, np.nan)
+                found[column][places[clock]] = samples.to_numpy()
+            else:
+                found[column] = samples.set_axis(places[clock]).reindex(np.arange(times.size))
     return pd.DataFrame(found)
 
 
