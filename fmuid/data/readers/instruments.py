@@ -5,9 +5,11 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 from fmuid.errors import InputError
 
+_KEPT = ("Samples", "Delta_X", "Y_Unit_Label")
 _TABLE = re.compile(r"(?:double|float)\s+(?P<name>[\w.]+)\s*\(\s*(?P<rows>\d+)\s*,\s*(?P<columns>\d+)\s*\)(?P<rest>.*)")
 
 
@@ -21,17 +23,21 @@ def _one_channel(lines: Sequence[str], source: str) -> Iterator[str]:
     yield from map(",".join, samples)
 
 
-def _numbered(lines: Sequence[str], source: str) -> Iterator[str]:
-    """Yield Rigol: row numbers in place of times, start and increment in the header."""
-    names, units, *rows = csv.reader(line for line in lines if line.strip())
+@dataclass(frozen=True)
+class Head:
+    """Lines in place of the first `count` of a text; start and step, s, of times that are written as row numbers."""
+
+    lines: Sequence[str]
+    count: int
+    clock: tuple[float, float] | None = None
+
+
+def _numbered(lines: Sequence[str]) -> Head:
+    """Return the head of Rigol: row numbers in place of times, start and increment in the header."""
+    names, units = csv.reader(lines[:2])
     place = names.index("Start")
-    start, step = float(units[place]), float(units[place + 1])
     heads = (f"{name} [{unit}]" for name, unit in zip(names[1:place], units[1:place], strict=True))
-    yield ",".join(("time [s]", *heads))
-    for k, row in enumerate(rows, start=1):
-        if len(row) < place or any(cell.strip() for cell in row[place:]) or len(row) != len(rows[0]):
-            raise InputError(f"{source}: {len(row)} cells in row {k} of samples. Leave missing cells empty.")
-        yield ",".join((repr(start + step * float(row[0])), *row[1:place]))
+    return Head([",".join(("time [s]", *heads))], 2, (float(units[place]), float(units[place + 1])))
 
 
 def _modelica(lines: Sequence[str], source: str) -> Iterator[str]:
@@ -51,21 +57,21 @@ def _modelica(lines: Sequence[str], source: str) -> Iterator[str]:
     yield from rows
 
 
-def _labview(lines: Sequence[str], _source: str) -> Iterator[str]:
-    """Yield a LabVIEW measurement: of the lines above the header only samples, interval and units."""
+def _labview(lines: Sequence[str]) -> Head:
+    """Return the head of a LabVIEW measurement: of the lines above the header only samples, interval and units."""
     ends = [k for k, line in enumerate(lines[:100]) if line.startswith("***End_of_Header***")]
     settings, (head, *rows) = lines[: ends[-1]], lines[ends[-1] + 1 :]
     mark = "\t" if "\t" in head else ","
     commented = any(row.count(mark) >= head.count(mark) for row in rows[:100])
-    for key in ("Samples", "Delta_X", "Y_Unit_Label"):
-        yield from (line if commented else line.rstrip(mark) for line in settings if line.startswith(key + mark))
-    yield head if commented else head.removesuffix(f"{mark}Comment")
-    yield from rows
+    kept = [line for line in settings if line.startswith(tuple(f"{key}{mark}" for key in _KEPT))]
+    kept = kept if commented else [line.rstrip(mark) for line in kept]
+    return Head([*kept, head if commented else head.removesuffix(f"{mark}Comment")], ends[-1] + 2)
 
 
-def _after_said_lines(lines: Sequence[str], _source: str) -> Iterator[str]:
-    """Yield BioLogic: the second line counts those of the head."""
-    yield from lines[int(lines[1].rpartition(":")[2]) - 1 :]
+def _after_said_lines(lines: Sequence[str]) -> Head:
+    """Return the head of BioLogic: the second line counts its lines."""
+    count = int(lines[1].rpartition(":")[2])
+    return Head([lines[count - 1]], count)
 
 
 def _text_of_dymola(_lines: Sequence[str], source: str) -> Iterator[str]:
@@ -81,13 +87,24 @@ def _check_count(found: int, said: str, source: str) -> None:
 
 _LAYOUTS: tuple[tuple[re.Pattern[str], Callable[[Sequence[str], str], Iterator[str]]], ...] = (
     (re.compile(r'"?Record Length"?,[^,\n]*,[^,\n]*,[^,\n]*\d,[^,\n]*\d', re.IGNORECASE), _one_channel),
-    (re.compile(r"LabVIEW Measurement\b"), _labview),
-    (re.compile(r"[^\n]* ASCII FILE\s*\nNb header lines *: *\d+"), _after_said_lines),
     (re.compile(r"#1\s*\nchar Aclass"), _text_of_dymola),
-    (re.compile(r"X,.*\bStart,Increment\b.*\n"), _numbered),
     (re.compile(r"#1\s*\n(?:\s*#.*\n|\s*\n)*\s*(?:double|float)\s"), _modelica),
 )
 """How the text begins, and who rewrites it."""
+
+
+_HEADS: tuple[tuple[re.Pattern[str], Callable[[Sequence[str]], Head]], ...] = (
+    (re.compile(r"LabVIEW Measurement\b"), _labview),
+    (re.compile(r"[^\n]* ASCII FILE\s*\nNb header lines *: *\d+"), _after_said_lines),
+    (re.compile(r"X,.*\bStart,Increment\b.*\n"), _numbered),
+)
+"""The same where only lines above the samples are rewritten."""
+
+
+def head_of(start: str) -> Head | None:
+    """Return the head in place of a text's own, by its begin; None for others."""
+    function = next((function for begin, function in _HEADS if begin.match(start)), None)
+    return None if function is None else function([line.rstrip("\r") for line in start.split("\n")])
 
 
 def rewriter_of(start: str) -> Callable[[Sequence[str], str], Iterator[str]] | None:

@@ -36,7 +36,7 @@ from fmuid.data.headers import (
     numbers_of,
 )
 from fmuid.data.readers.encodings import decoded
-from fmuid.data.readers.instruments import rewriter_of
+from fmuid.data.readers.instruments import head_of, rewriter_of
 from fmuid.errors import InputError
 
 _LOOKED_AT = 1 << 18
@@ -88,6 +88,7 @@ def read_text(path: Path, source: str) -> RawTable:
                 with again() as file:
                     lines = file.read().decode("utf-8-sig").splitlines()
                 again = partial(io.BytesIO, _as_table(rewrite, lines, source))
+            again, clock = _with_head(again, text.removeprefix("\ufeff"), source)
             with again() as file:
                 first = file.read(_LOOKED_AT)
             shown = codecs.getincrementaldecoder("utf-8-sig")().decode(first, final=len(first) < _LOOKED_AT)
@@ -95,6 +96,8 @@ def read_text(path: Path, source: str) -> RawTable:
             names, said = named(layout.head.names, layout.head.units)
             check_once(source, names)
             frame = _samples(_without_end(again, layout), source, layout, names)
+            if clock is not None and pd.api.types.is_numeric_dtype(frame[names[0]].dtype):
+                frame[names[0]] = clock[0] + clock[1] * frame[names[0]]
             if layout.head.step is not None:  # it may stand for an empty column of times
                 frame = frame.loc[:, frame.notna().any()]
             return RawTable(frame, said, step=layout.head.step, rows=layout.head.rows)
@@ -107,6 +110,21 @@ def _as_table(rewrite: Callable[[Sequence[str], str], Iterator[str]], lines: Seq
         return "\n".join(rewrite(lines, source)).encode()
     except (ValueError, IndexError, csv.Error):
         raise InputError(f"{source}: damaged text of an instrument. Save it again, or as a plain table.") from None
+
+
+def _with_head(
+    opened: Callable[[], IO[bytes]], start: str, source: str
+) -> tuple[Callable[[], IO[bytes]], tuple[float, float] | None]:
+    """Return an opener of the text of an instrument with a plain head; start and step of numbered rows."""
+    try:
+        head = head_of(start)
+    except (ValueError, IndexError, csv.Error):
+        raise InputError(f"{source}: damaged text of an instrument. Save it again, or as a plain table.") from None
+    if head is None:
+        return opened, None
+    with opened() as file:
+        rest = file.read().split(b"\n", head.count)[head.count :]
+    return partial(io.BytesIO, b"\n".join(("\n".join(head.lines).encode(), *rest))), head.clock
 
 
 def _as_utf8(opened: Callable[[], IO[bytes]], encoding: str, text: str) -> Callable[[], IO[bytes]]:
@@ -217,12 +235,14 @@ def _layout(source: str, text: str) -> _Layout:
 
 
 def _without_blank_ends(rows: list[list[str]]) -> tuple[list[list[str]], int]:
-    """Return rows without an always empty last cell, and its count."""
+    """Return rows without always empty last cells, and their count."""
     usual = Counter(map(len, rows)).most_common(1)
     length = usual[0][0] if usual else 0
     rows = [row[:length] if len(row) == length + 1 and row[-1].strip() in ("", _COMMENTS) else row for row in rows]
-    ends = length > 1 and not any(row[-1].strip().removeprefix(_COMMENTS) for row in rows if len(row) == length)
-    return [row[: length - 1] if len(row) == length else row for row in rows] if ends else rows, int(ends)
+    regular, ends = [row for row in rows if len(row) == length], 0
+    while ends < length - 1 and not any(row[-1 - ends].strip().removeprefix(_COMMENTS) for row in regular):
+        ends += 1
+    return [row[: length - ends] if len(row) == length else row for row in rows] if ends else rows, ends
 
 
 def _plain(row: list[str], separator: str) -> list[str]:
@@ -287,7 +307,7 @@ def _parsed(opened: Callable[[], IO[bytes]], layout: _Layout, names: list[str], 
         frame: pd.DataFrame = pd.read_csv(
             file,
             header=None,
-            names=[*names, *["\0"] * (layout.width - len(names))],
+            names=[*names, *(f"\0{k}" for k in range(layout.width - len(names)))],
             index_col=False,
             sep=layout.separator,
             decimal=layout.decimal,
