@@ -115,7 +115,7 @@ def _as_table(rewrite: Callable[[Sequence[str], str], Iterator[str]], lines: Seq
 def _with_head(
     opened: Callable[[], IO[bytes]], start: str, source: str
 ) -> tuple[Callable[[], IO[bytes]], tuple[float, float] | None]:
-    """Return an opener of the text of an instrument with a plain head; start and step of numbered rows."""
+    """Return an opener with a plain head; start and step of numbered rows."""
     try:
         head = head_of(start)
     except (ValueError, IndexError, csv.Error):
