@@ -282,7 +282,9 @@ def _as_it_is(source: str, text: str) -> _Layout:
         raise InputError(f"{source}: no header. Write the names of the columns into the first line.")
     if len(rows) > 1 and len(rows[1]) != len(header):
         said = f"{len(header)} names in the header, {_cells(len(rows[1]))} in row 1"
-        raise InputError(f'{source}: {said}. Quote names with commas ("x[1,2]").')
+        line = len(rows) > 2 and len(rows[2]) == len(header)
+        remedy = "Remove this row" if line else 'Quote names with commas ("x[1,2]")'
+        raise InputError(f"{source}: {said}. {remedy}.")
     return _Layout(",", ".", TableHeader(header, (), 1), read[0][0], len(header))
 
 
