@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 
 from fmuid import Experiment, InputError, read_data
@@ -142,6 +143,12 @@ def test_each_column_of_two_lengths_has_its_times(tmp_path: Path) -> None:
     np.testing.assert_array_equal(frame["time"][frame["id.u"].notna()], np.arange(5.0))
     savemat(tmp_path / "b.mat", {"id": one, "t": one["time"], "val": two})
     np.testing.assert_array_equal(read_data(tmp_path / "b.mat")["time"][there], np.arange(12.0) / 2)
+
+
+def test_waveforms_without_an_offset_begin_at_zero(tmp_path: Path) -> None:
+    with TdmsWriter(tmp_path / "a.tdms") as writer:
+        writer.write_segment([ChannelObject("run", "u", np.arange(5.0), properties={"wf_increment": 0.5})])
+    np.testing.assert_array_equal(read_data(tmp_path / "a.tdms")["time"], np.arange(5) / 2)
 
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:

@@ -45,7 +45,7 @@ def read_tdms(path: Path, source: str, _sheet: object) -> FileColumns:
         if key not in tracks:
             tracks[key] = len(headers)
             headers.append("time" if len(tracks) == 1 else f"time {len(tracks)}")
-            values.append(channel.time_track())
+            values.append(key[1] + key[2] * np.arange(key[0]))
         clocks[k] = tracks[key]
     timed = [k for k, each in enumerate(values) if k in clocks or each.size == length or k >= len(channels)]
     left_out = {
