@@ -112,7 +112,8 @@ def _defects(model: NoiseModel, measured: Floats, simulated: Floats, levels: Flo
         samples = float((measured == limit).sum())
         yield DataDefect(DefectKind.CLIPPED, *names, {"limit": limit, "samples": samples})
     inside = (measured[1:] < measured.max()) & (measured[1:] > measured.min())
-    share = float(np.mean((np.diff(measured) == 0.0) & inside))
+    moving = np.diff(simulated) != 0.0  # at rest without noise all samples are alike
+    share = float(np.mean((np.diff(measured) == 0.0) & inside & moving))
     if model.series.ordered and not step and share > SETTINGS.repeated:
         yield DataDefect(DefectKind.REPEATED, *names, {"share": share})
     for frequency in spectral_lines(model.series, measured - simulated, measured).tolist():

@@ -59,7 +59,8 @@ def told_of(error: Flaw, found: Found) -> tuple[float, Floats]:
 
 
 def check_told(plant: Plant, color: float, found: Sequence[Found], told: Floats) -> None:
-    """Compare shifts with those against the sound record with the same noise."""
-    pairs = zip(found, plant.found("honest", color), strict=True)
-    real = [(each.before - sound.before) / each.std_before for each, sound in pairs]
+    """Compare shifts with those against the sound record with the same noise; an error may fix a parameter."""
+    sounds = plant.found("honest", color)
+    own = [sounds[0].parameters.index(name) for name in found[0].parameters]
+    real = [(each.before - sound.before[own]) / each.std_before for each, sound in zip(found, sounds, strict=True)]
     np.testing.assert_allclose(np.mean(told, axis=0), np.mean(real, axis=0), rtol=0.2, atol=0.3)
