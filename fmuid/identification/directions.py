@@ -28,6 +28,7 @@ from fmuid.identification.output_directions import (
     squares_by_unit,
 )
 from fmuid.simulation import AnySimulator, Simulator
+from fmuid.units import parse_unit
 
 SECANTS = (ErrorKind.DELAY, ErrorKind.ADVANCE, ErrorKind.LAG, ErrorKind.CLOCK)
 
@@ -279,7 +280,12 @@ def _dead_times(
     record: LinearizedRecord, simulated: Floats, units: Mapping[str, str]
 ) -> Iterator[tuple[DirectionColumn, Forcing]]:
     """Yield dead times of inputs, alone and along their common vector; a refit has corrected the outputs."""
-    experiment, pairs, ends = record.experiment, driven_outputs(record), both_ends(simulated)
+    experiment, ends = record.experiment, both_ends(simulated)
+    pairs = {
+        j: k
+        for j, k in driven_outputs(record).items()
+        if make_power(units[experiment.input_names[j]], units[experiment.output_names[k]])
+    }
     for j, k in pairs.items():
         name, output = experiment.input_names[j], experiment.output_names[k]
         sign = -signs(ends[:, [k]])[:, 0]
@@ -294,6 +300,13 @@ def _dead_times(
         names = tuple(experiment.input_names[j] for j in own) + tuple(experiment.output_names[k] for k in own.values())
         usual = SETTINGS.share * rms_of(experiment.input_values[:, list(own)])
         yield _made(ErrorKind.DEAD_TIME, names, unit, usual), _sum_of(parts)
+
+
+def make_power(one: str, other: str) -> bool:
+    """Return True if units make a power, as voltage and current, or are unknown; angles do not count."""
+    found = [parse_unit(each) if each else None for each in (one, other, "W")]
+    exponents = [each.exponents[:-1] for each in found if each is not None]
+    return len(exponents) < 3 or tuple(map(sum, zip(*exponents[:2], strict=True))) == exponents[2]
 
 
 def signs(signals: Floats) -> Floats:

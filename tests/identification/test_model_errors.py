@@ -35,6 +35,7 @@ from fmuid.identification import (
 )
 from fmuid.identification.data_defects import clipped_ends, converter_step
 from fmuid.identification.directed_tests import largest_scores, probability_of
+from fmuid.identification.directions import make_power
 from fmuid.identification.feedback import find_feedback
 from fmuid.identification.final_covariance import include_uneven_noise
 from fmuid.identification.linearized_record import LinearizedRecord, exponentials
@@ -177,6 +178,11 @@ def test_a_free_start_value_is_no_error_of_the_initial_state() -> None:
     kinds = {each.kind for each in more.directions(fmuid.identify(more))}
     assert ErrorKind.INITIAL_STATE not in kinds
     assert ErrorKind.OFFSET in kinds
+
+
+def test_dead_times_oppose_the_flow_of_their_power() -> None:
+    assert all(make_power(*each) for each in (("V", "mA"), ("N", "mm/s"), ("N.m", "rpm"), ("bar", "l/min"), ("", "A")))
+    assert not any(make_power(*each) for each in (("rad/s", "A"), ("V", "V"), ("A", "rad/s")))
 
 
 def test_exponentials_are_those_of_scipy() -> None:

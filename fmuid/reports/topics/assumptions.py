@@ -52,7 +52,7 @@ class ModelErrorMessage(Message, section="hiding"):
     INPUT_GAIN = doubt("gain of {first} is off by {size}", "a sensor's calibration", "Calibrate {first}.")
     JOINT = doubt("the line of {first} has {size} more", "a joint or contact", "Check it, or set `phase_resistance`.")
     DEAD_TIME = doubt(
-        "{inputs} lacks {size} against the sign of {outputs}",
+        "dead time of {inputs}: {size} against the sign of {outputs}",
         "an inverter's dead time, or friction",
         "Model the dead time, or measure the voltage at the machine.",
     )
