@@ -303,7 +303,7 @@ def _dead_times(
 
 
 def make_power(one: str, other: str) -> bool:
-    """Return True if units make a power, as voltage and current, or are unknown; angles do not count."""
+    """Return True if units make a power (angles aside) or are unknown."""
     found = [parse_unit(each) if each else None for each in (one, other, "W")]
     exponents = [each.exponents[:-1] for each in found if each is not None]
     return len(exponents) < 3 or tuple(map(sum, zip(*exponents[:2], strict=True))) == exponents[2]

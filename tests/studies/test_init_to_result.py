@@ -195,6 +195,36 @@ def test_a_length_at_rest_is_no_start_value(tmp_path: Path) -> None:
     assert uses["s0"] is Use.START_OPEN
 
 
+SWINGING = """
+model Swinging "force, mass, spring and a weak damper: all four have one scale"
+  parameter Real k(unit="N/V") = 3;
+  parameter Real m(unit="kg") = 0.5;
+  parameter Real c(unit="N/m") = 200;
+  parameter Real d(unit="N.s/m") = 0.3;
+  input Real u(unit="V");
+  output Real x(unit="m", start=0, fixed=true, nominal=0.01);
+  Real v(unit="m/s", start=0, fixed=true);
+equation
+  der(x) = v;
+  m*der(v) = k*u - c*x - d*v;
+end Swinging;
+"""
+
+
+def test_a_weak_parameter_that_acts_like_strong_ones_stays_fixed(tmp_path: Path) -> None:
+    """Its effect is less than the curvature of theirs."""
+    t = np.arange(1500.0) * 0.01
+    u: Floats = np.where(np.sin(0.9 * t) >= 0.0, 1.0, -1.0)
+    moved = solve_ivp(
+        lambda s, z: [z[1], (3.0 * u[min(int(s / 0.01 + 1e-9), 1499)] - 200.0 * z[0] - 0.3 * z[1]) / 0.5],
+        (0.0, t[-1]), [0.0, 0.0], t_eval=t, max_step=0.005,
+    )  # fmt: skip
+    frame = pd.DataFrame({"time": t, "u": u, "x": moved.y[0] + 1e-4 * np.random.default_rng(4).standard_normal(t.size)})
+    found = survey(export_text(tmp_path, SWINGING), [Experiment(frame, ["u"], ["x"], interpolation="zoh")])
+    uses = {each.variable.name: each.use for each in found.candidates}
+    assert sorted(uses[name].name for name in "kmcd") == ["ALIKE", "FREED", "FREED", "FREED"], uses
+
+
 WALL = """
 model Wall "a room behind a wall; for Co-Simulation, in steps of 2 ms"
   parameter Real tau(unit="s", min=1) = 2e6;
