@@ -135,7 +135,7 @@ class IncomparableError(InputError):
 
     def __init__(self, reason: str) -> None:
         self.reason = reason
-        super().__init__(f"{reason}: compare on a common table (--data)")
+        super().__init__(f"{reason} Compare on a common table (--data).")
 
 
 def compare_models(candidates: Sequence[ModelCandidate]) -> ModelComparison:

@@ -320,4 +320,4 @@ def _candidate(path: Path, name: str) -> ModelCandidate:
     worth = sum(each.samples / max(1.0, np.nan_to_num(each.correlation_samples, nan=1.0)) for each in series)
     dependence = sum(each.samples for each in series) / worth if worth else math.nan
     held = None if kept.origin is None else study_of(path).model.values
-    return ModelCandidate(name, Result.from_json(path), dependence, held)
+    return ModelCandidate(name, kept.result, dependence, held)
