@@ -251,6 +251,7 @@ class PredictionRun:
     folds: tuple[Fold, ...] = ()  # parts of a cross-validation; empty otherwise
     notes: tuple[SourceWarning, ...] = ()  # warnings on the result; not kept in a file
     seen: tuple[str, ...] = ()  # records that the result was made from
+    corrected: Mapping[str, float] = field(default_factory=dict)  # fixed values, as the result has corrected them
     origin: Provenance | None = None
     files: tuple[Path, ...] = ()  # written files
 

@@ -17,8 +17,10 @@ from fmuid.events import Progress
 from fmuid.formatting import nearest
 from fmuid.identification import (
     CONFIDENCE_LEVEL,
+    ErrorKind,
     IncomparableError,
     ModelCandidate,
+    ModelError,
     ModelReference,
     Prediction,
     compare_models,
@@ -212,12 +214,25 @@ def predicted_by(
     path = result_path(Path(result))
     estimates = Result.from_json(path)
     study = study or study_of(path, in_place=Path(tables[0]))
+    corrected = _corrected(path)
+    if corrected:
+        study = replace(study, model=replace(study.model, values={**study.model.values, **corrected}))
     notes = tuple(notes_of(study, path, estimates))
     paths = [Path(table) for table in tables]
     records = list(records_like(study, paths, like))
     seen = tuple(each.name for each in records if estimates.made_from(each))
     predictions = tuple(predict_with(study, estimates, each, free=free, level=level) for each in records)
-    return PredictionRun(predictions, (), notes, seen, made_from(study, [path, *record_files(paths)]))
+    origin = made_from(study, [path, *record_files(paths)])
+    return PredictionRun(predictions, (), notes, seen, corrected, origin)
+
+
+def _corrected(path: Path) -> dict[str, float]:
+    """Return the fixed values that a result has corrected: its estimates hold with these."""
+    errors = codec.content_of(path, RESULT_SCHEMA, _AGAIN).get("assessment", {}).get("model_errors") or {}
+    freed = codec.decoded(path, errors.get("freed", []), tuple[ModelError, ...], _AGAIN)
+    tests = [each.test for each in freed if each.test.direction.kind is ErrorKind.FIXED]
+    values = {each.direction.subject[0]: each.direction.value * (1.0 + each.size) for each in tests}
+    return {name: value for name, value in values.items() if math.isfinite(value)}
 
 
 def cross_predicted(

@@ -39,6 +39,11 @@ class PredictionMessage(Message, section="prediction"):
         "The result was estimated from {names}; this is no validation.",
         remedy="Predict data that the result was not estimated from.",
     )
+    CORRECTED = plain(
+        "Fixed values as the result corrected them: {values}.",
+        "estimates hold with these",
+        "Free them in the study, or on each record with --refit.",
+    )
     OPEN = plain("{record}: {output} predicted ({size}); its expected RMSE is unknown.")
     AS_EXPECTED = plain("{record}: {output} predicted as expected ({size}).")
     WORSE = doubt(
@@ -68,6 +73,8 @@ def prediction_document(found: PredictionRun) -> Document:
     tone: Tone = "good" if good and not seen else "bad"
     said = list(map(source_remark, found.notes))
     said += [PredictionMessage.SEEN.said("", names=listed(found.seen))] if seen else []
+    values = ", ".join(f"{name} = {value:.6g}" for name, value in found.corrected.items())
+    said += [PredictionMessage.CORRECTED.said("", values=values)] if values else []
     said += [each for prediction in predictions for each in prediction_remarks(prediction)]
     said += [fold_remark(predictions)] if found.folds else []
     sections = (

@@ -24,6 +24,24 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def test_predictions_hold_the_fixed_values_that_a_result_corrected(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An inductance fixed 30 % too high is corrected in the result."""
+    for k, name in enumerate(("first", "second")):
+        coil_table(tmp_path / f"{name}.csv", 0.0, seed=k)
+    study = STUDY.replace("L = { start = 0.05, min = 1e-3 }\n", "").replace('.fmu"\n', '.fmu"\nfixed = { L = 0.13 }\n')
+    (tmp_path / "study.toml").write_text(study)
+    assert fmuid_("identify", tmp_path / "study.toml", "--no-isolation", "--no-report") == DONE
+    assert "freed: fixed L is off" in capsys.readouterr().out
+    words = ("-o", tmp_path / "found", "--no-isolation", "--no-report")
+    assert fmuid_("predict", tmp_path / "results", tmp_path / "second.csv", *words) == DONE
+    content = json.loads((tmp_path / "found/prediction.json").read_text())
+    assert content["corrected"]["L"] == pytest.approx(0.1, rel=0.05)
+    assert content["predictions"][0]["scores"][0]["ratio"] < 1.1
+    assert "Fixed values as the result corrected them: L = " in capsys.readouterr().out
+
+
 def test_records_are_predicted(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     tables = (made / "second.csv", made / "third.csv")
     words = ("--refit", "i_start", "-o", tmp_path, "--no-isolation")
