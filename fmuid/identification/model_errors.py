@@ -301,6 +301,13 @@ class ModelErrors:
         return tuple(sorted(self.tests, key=lambda each: -each.most[1] * each.direction.usual))
 
     @property
+    def corrected(self) -> dict[str, float]:
+        """Fixed values as freed errors correct them; the estimates hold with these."""
+        tests = [each.test for each in self.freed if each.test.direction.kind is ErrorKind.FIXED]
+        values = {each.direction.subject[0]: each.direction.value * (1.0 + each.size) for each in tests}
+        return {name: value for name, value in values.items() if math.isfinite(value)}
+
+    @property
     def covers_dynamics(self) -> bool:
         """True if inputs, parameters and states were tested, too."""
         return any(each.direction.kind is ErrorKind.DRIFT for each in self.tests)

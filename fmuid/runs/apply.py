@@ -29,6 +29,7 @@ from fmuid.models import (
     with_starts,
     write_ssv,
 )
+from fmuid.runs.folder import corrected_values
 
 ESTIMATES_FILE = "parameters.ssv"
 
@@ -56,15 +57,15 @@ class _Estimate:
     unit: str | None = None
 
 
-def write_estimates(folder: Path, system: System, result: Result) -> list[Path]:
-    """Write ``parameters.ssv`` (SSP 1.0) without undetermined values; return its path in a list."""
+def write_estimates(folder: Path, system: System, result: Result, corrected: Mapping[str, float]) -> list[Path]:
+    """Write ``parameters.ssv`` (SSP 1.0), without undetermined values; return its path in a list."""
     units, values = _units(system), {}
     for name, value, std in zip(result.names, result.values.tolist(), result.std.tolist(), strict=True):
         if name in system.variables and math.isfinite(std) and math.isfinite(value):
             unit = system.variables[name].unit
             said = " ".join(filter(None, (f"standard deviation {std:.3g}", unit)))
             values[name] = Quantity(value, unit, said)
-    values |= {name: Quantity(value) for name, value in result.chosen.items() if values}
+    values |= {name: Quantity(value) for name, value in (*corrected.items(), *result.chosen.items()) if values}
     path = folder / ESTIMATES_FILE
     if not values or not result.converged:
         path.unlink(missing_ok=True)
@@ -123,6 +124,7 @@ def _read(
     result = Result.from_json(path)
     every = zip(result.names, map(_Estimate, result.values.tolist(), result.std.tolist()), strict=True)
     estimates = {name: each for name, each in every if not is_quantity(name)}  # sensors are no part of the FMU
+    estimates |= {name: _Estimate(value) for name, value in corrected_values(path).items() if name not in estimates}
     found = _of_component(path, estimates, component, tuple(result.setup.models))
     used = result.setup.models.get(component or "")
     identified = model if used is None else used["name"]

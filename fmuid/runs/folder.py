@@ -17,6 +17,7 @@ from fmuid.array_types import Floats
 from fmuid.errors import InputError
 from fmuid.estimation import RESULT_SCHEMA
 from fmuid.files import file_name, with_formulas, write_table
+from fmuid.identification import ModelErrors
 from fmuid.runs.findings import ComparisonRun, DiagnosisRun, IdentificationRun, MonitoringRun, PredictionRun
 from fmuid.runs.preprocessing import write_some
 from fmuid.simulation import OutputFit
@@ -34,7 +35,8 @@ RESIDUALS_FILE = "diagnosis-residuals.csv"
 _TABLES = ("trace", "fit", "diagnostics", "optima", "preparation", "profiles", "posterior", "map-*")
 # Columns of texts, which pandas would take for numbers or missing values where they look like it.
 _TEXTS = ("experiment", "record", "significant", "alarm")
-_AGAIN = "run fmuid identify again"
+AGAIN = "run fmuid identify again"
+"""Remedy for a damaged result."""
 
 
 ShortFindings = TypeVar("ShortFindings", bound=PredictionRun | ComparisonRun)
@@ -82,17 +84,23 @@ def write_identification(folder: Path, found: IdentificationRun) -> list[Path]:
     return written
 
 
+def corrected_values(path: Path) -> dict[str, float]:
+    """Return the fixed values that a ``result.json`` corrected (`ModelErrors.corrected`)."""
+    errors = codec.content_of(path, RESULT_SCHEMA, AGAIN).get("assessment", {}).get("model_errors")
+    return codec.decoded(path, errors, ModelErrors, AGAIN, "assessment.model_errors").corrected if errors else {}
+
+
 def read_fits(folder: Path) -> tuple[OutputFit, ...]:
     """Return the fits of an identification, with their samples."""
     path = folder / RESULT_FILE
-    fits = codec.content_of(path, RESULT_SCHEMA, _AGAIN).get("fits", [])
-    codec.decoded(path, fits, tuple[OutputFit, ...], _AGAIN, "fits")  # its own errors first
+    fits = codec.content_of(path, RESULT_SCHEMA, AGAIN).get("fits", [])
+    codec.decoded(path, fits, tuple[OutputFit, ...], AGAIN, "fits")  # its own errors first
     table = path.with_name("fit.csv")
     if not table.is_file():
         return ()
-    with _fitting(path, _AGAIN):
+    with _fitting(path, AGAIN):
         _fill_fits(fits, read_table(table))
-    return codec.decoded(path, fits, tuple[OutputFit, ...], _AGAIN, "fits")
+    return codec.decoded(path, fits, tuple[OutputFit, ...], AGAIN, "fits")
 
 
 @contextmanager

@@ -17,10 +17,8 @@ from fmuid.events import Progress
 from fmuid.formatting import nearest
 from fmuid.identification import (
     CONFIDENCE_LEVEL,
-    ErrorKind,
     IncomparableError,
     ModelCandidate,
-    ModelError,
     ModelReference,
     Prediction,
     compare_models,
@@ -31,7 +29,7 @@ from fmuid.identification import (
 )
 from fmuid.models import FMU, System
 from fmuid.runs.findings import CommonTables, ComparedEstimate, ComparisonRun, Fold, IdentificationRun, PredictionRun
-from fmuid.runs.folder import RESULT_FILE
+from fmuid.runs.folder import AGAIN, RESULT_FILE, corrected_values
 from fmuid.runs.provenance import digests, made_from, made_now, result_path, study_of
 from fmuid.simulation import OutputFit, Value, finer_simulator, fit_of, simulator_of
 from fmuid.studies import PriorSource, SourceWarning, Study
@@ -214,7 +212,7 @@ def predicted_by(
     path = result_path(Path(result))
     estimates = Result.from_json(path)
     study = study or study_of(path, in_place=Path(tables[0]))
-    corrected = _corrected(path)
+    corrected = corrected_values(path)
     if corrected:
         study = replace(study, model=replace(study.model, values={**study.model.values, **corrected}))
     notes = tuple(notes_of(study, path, estimates))
@@ -224,15 +222,6 @@ def predicted_by(
     predictions = tuple(predict_with(study, estimates, each, free=free, level=level) for each in records)
     origin = made_from(study, [path, *record_files(paths)])
     return PredictionRun(predictions, (), notes, seen, corrected, origin)
-
-
-def _corrected(path: Path) -> dict[str, float]:
-    """Return the fixed values that a result has corrected: its estimates hold with these."""
-    errors = codec.content_of(path, RESULT_SCHEMA, _AGAIN).get("assessment", {}).get("model_errors") or {}
-    freed = codec.decoded(path, errors.get("freed", []), tuple[ModelError, ...], _AGAIN)
-    tests = [each.test for each in freed if each.test.direction.kind is ErrorKind.FIXED]
-    values = {each.direction.subject[0]: each.direction.value * (1.0 + each.size) for each in tests}
-    return {name: value for name, value in values.items() if math.isfinite(value)}
 
 
 def cross_predicted(
@@ -324,14 +313,11 @@ class _SeriesSize:
     correlation_samples: float
 
 
-_AGAIN = "run fmuid identify again"
-
-
 def _candidate(path: Path, name: str) -> ModelCandidate:
-    content = codec.content_of(path, RESULT_SCHEMA, _AGAIN)
-    kept = codec.decoded(path, content, IdentificationRun, _AGAIN)
+    content = codec.content_of(path, RESULT_SCHEMA, AGAIN)
+    kept = codec.decoded(path, content, IdentificationRun, AGAIN)
     sizes = [] if kept.assessment.residuals is None else content["assessment"]["residuals"]["series"]
-    series = codec.decoded(path, sizes, tuple[_SeriesSize, ...], _AGAIN)
+    series = codec.decoded(path, sizes, tuple[_SeriesSize, ...], AGAIN)
     worth = sum(each.samples / max(1.0, np.nan_to_num(each.correlation_samples, nan=1.0)) for each in series)
     dependence = sum(each.samples for each in series) / worth if worth else math.nan
     held = None if kept.origin is None else study_of(path).model.values

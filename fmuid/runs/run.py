@@ -171,5 +171,6 @@ def _written(study: Study, folder: Path, found: IdentificationRun) -> Identifica
             raise
         raise FmuidError(f"{error} The result is kept in {place}.") from None
     if not found.assessment.is_explored:
-        written += write_estimates(folder, study.system, found.result)
+        errors = found.assessment.model_errors
+        written += write_estimates(folder, study.system, found.result, {} if errors is None else errors.corrected)
     return replace(found, files=tuple(dict.fromkeys((*found.files, *written))))

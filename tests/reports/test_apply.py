@@ -147,7 +147,7 @@ def estimated(folder: Path, values: Values, **changes: Any) -> Result:
 
 def test_estimates_are_written_as_ssv(tmp_path: Path) -> None:
     values: Values = {"a.R": (4.1 / 3, 0.0123), "b.L": (0.1, 1e-3), "b.R": (4.0, None), "a.i_start[x]": (1.0, 0.1)}
-    (path,) = write_estimates(tmp_path, System(components={"a": COIL, "b": COIL}), estimated(tmp_path, values))
+    (path,) = write_estimates(tmp_path, System(components={"a": COIL, "b": COIL}), estimated(tmp_path, values), {})
     assert path == tmp_path / "parameters.ssv"
     read = fmpy_ssd.read_ssv(str(path), validate=True).parameters
     assert [(p.name, float(p.value), p.unit) for p in read] == [("a.R", 4.1 / 3, "Ohm"), ("b.L", 0.1, "H")]
@@ -160,16 +160,16 @@ def test_estimates_are_written_as_ssv(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "Other.fmu", "w") as other:
         other.writestr("modelDescription.xml", changed)
     system = System(components={"a": COIL, "b": tmp_path / "Other.fmu"})  # which defines H otherwise
-    (path,) = write_estimates(tmp_path, system, estimated(tmp_path, {"a.L": (0.1, 0.01), "a.R": (4.0, 0.1)}))
+    (path,) = write_estimates(tmp_path, system, estimated(tmp_path, {"a.L": (0.1, 0.01), "a.R": (4.0, 0.1)}), {})
     assert {name: each.unit for name, each in read_ssv(path).values.items()} == {"a.L": None, "a.R": "Ohm"}
 
 
 def test_estimates_written_and_applied_again_are_the_same(tmp_path: Path) -> None:
     found = estimated(tmp_path, {"R": (math.pi, 0.01), "L": (math.e / 10, 0.01)})
-    (path,) = write_estimates(tmp_path, System(COIL), found)
+    (path,) = write_estimates(tmp_path, System(COIL), found, {})
     applied = apply_result(path, COIL, tmp_path / "New.fmu")
     assert {each.variable: each.new for each in applied} == {"R": math.pi, "L": math.e / 10}
     for std, changes in ((0.1, {"outcome": "stalled"}), (None, {})):  # no file without a reliable value
         path.write_text("of an earlier run")
-        assert write_estimates(tmp_path, System(COIL), estimated(tmp_path, {"R": (4.0, std)}, **changes)) == []
+        assert write_estimates(tmp_path, System(COIL), estimated(tmp_path, {"R": (4.0, std)}, **changes), {}) == []
         assert not path.exists()

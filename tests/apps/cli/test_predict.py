@@ -8,7 +8,8 @@ import pandas as pd
 import pytest
 
 from fmuid.apps.cli.options import DONE, WRONG_INPUT
-from tests.support.coil_study import STUDY, coil_table, fmuid_
+from fmuid.models import read_description, read_ssv
+from tests.support.coil_study import COIL, STUDY, coil_table, fmuid_
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
 
@@ -40,6 +41,10 @@ def test_predictions_hold_the_fixed_values_that_a_result_corrected(
     assert content["corrected"]["L"] == pytest.approx(0.1, rel=0.05)
     assert content["predictions"][0]["scores"][0]["ratio"] < 1.1
     assert "Fixed values as the result corrected them: L = " in capsys.readouterr().out
+    assert {"R", "L"} <= read_ssv(tmp_path / "results/parameters.ssv").values.keys()
+    assert fmuid_("apply", tmp_path / "results", COIL, "-o", tmp_path / "New.fmu") == DONE
+    start = read_description(tmp_path / "New.fmu").variables["L"].start
+    assert start == pytest.approx(content["corrected"]["L"])
 
 
 def test_records_are_predicted(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
