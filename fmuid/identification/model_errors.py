@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import ClassVar
@@ -133,6 +133,12 @@ class Direction:
     def key(self) -> tuple[ErrorKind, tuple[str, ...]]:
         """Kind and subject, which no other direction of a problem has."""
         return self.kind, self.subject
+
+
+def fixed_values(directions: Iterable[Direction], sizes: Iterable[float]) -> dict[str, float]:
+    """Return the fixed parameters among directions, with values corrected by sizes."""
+    found = {each.subject[0]: each.value * (1.0 + size) for each, size in zip(directions, sizes, strict=True)}
+    return {name: value for name, value in found.items() if math.isfinite(value)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,9 +309,7 @@ class ModelErrors:
     @property
     def corrected(self) -> dict[str, float]:
         """Fixed values as freed errors correct them; the estimates hold with these."""
-        tests = [each.test for each in self.freed if each.test.direction.kind is ErrorKind.FIXED]
-        values = {each.direction.subject[0]: each.direction.value * (1.0 + each.size) for each in tests}
-        return {name: value for name, value in values.items() if math.isfinite(value)}
+        return fixed_values([each.test.direction for each in self.freed], [each.test.size for each in self.freed])
 
     @property
     def covers_dynamics(self) -> bool:

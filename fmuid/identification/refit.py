@@ -31,6 +31,7 @@ from fmuid.identification.model_errors import (
     ModelErrors,
     ProcessNoise,
     Sizes,
+    fixed_values,
 )
 from fmuid.identification.problem import Problem
 
@@ -304,8 +305,7 @@ def _simulating(problem: LeastSquares, errors: Sequence[ModelError], sizes: Floa
     fixed = [each.kind is ErrorKind.FIXED for each in directions]
     if not any(fixed) or not isinstance(problem, Problem):
         return problem, np.zeros(len(errors))
-    corrected = {each.subject[0]: each.value * (1.0 + size) for each, size in zip(directions, sizes, strict=True)}
-    values = {name: value for name, value in corrected.items() if not math.isnan(value)}
+    values = fixed_values(directions, sizes.tolist())
     return problem.holding(values).finer(problem.refinement), np.where(fixed, sizes, 0.0)
 
 

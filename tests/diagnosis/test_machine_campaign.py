@@ -97,7 +97,11 @@ FOREIGN: dict[str, tuple[dict[str, Any], str]] = {
     "joint a +10 %": ({"joint": (0.93, 0.0, 0.0)}, "joint(a)"),
 }
 ROWS = [*CHANGES, *PAIRS, *FOREIGN]  # seeds go by this order
-AMOUNTS = [pytest.param(6, 1, marks=pytest.mark.slow), pytest.param(20, 200, marks=pytest.mark.campaign)]
+MACHINES = pytest.mark.parametrize("always", [SOUND, IMPERFECT], ids=["nothing off", "imperfect"])
+AMOUNTS = pytest.mark.parametrize(
+    ("count", "draws"),
+    [pytest.param(6, 1, marks=pytest.mark.slow), pytest.param(20, 200, marks=pytest.mark.campaign)],
+)
 
 
 def found_in(
@@ -111,9 +115,9 @@ def found_in(
     return found
 
 
-@pytest.mark.parametrize(("count", "draws"), AMOUNTS)
+@AMOUNTS
 @pytest.mark.parametrize("name", PAIRS)
-@pytest.mark.parametrize("always", [SOUND, IMPERFECT], ids=["nothing off", "imperfect"])
+@MACHINES
 def test_faults_beside_a_sensor_error(always: Condition, name: str, count: int, draws: int) -> None:
     """A fault keeps its name and phase."""
     change, labels = PAIRS[name]
@@ -125,9 +129,9 @@ def test_faults_beside_a_sensor_error(always: Condition, name: str, count: int, 
     assert named >= 0.95 * draws
 
 
-@pytest.mark.parametrize(("count", "draws"), AMOUNTS)
+@AMOUNTS
 @pytest.mark.parametrize("name", FOREIGN)
-@pytest.mark.parametrize("always", [SOUND, IMPERFECT], ids=["nothing off", "imperfect"])
+@MACHINES
 def test_errors_that_no_cause_is_are_no_other_fault(always: Condition, name: str, count: int, draws: int) -> None:
     """Few are called another fault alone."""
     change, label = FOREIGN[name]
@@ -141,7 +145,7 @@ def test_errors_that_no_cause_is_are_no_other_fault(always: Condition, name: str
 
 @pytest.mark.campaign
 @pytest.mark.parametrize("name", CHANGES)
-@pytest.mark.parametrize("always", [SOUND, IMPERFECT], ids=["nothing off", "imperfect"])
+@MACHINES
 @pytest.mark.parametrize("count", [10, 20])
 def test_changes_of_a_machine_at_operating_points(count: int, always: Condition, name: str) -> None:
     """Four sets of healthy records; limits as of the exact binomial test."""

@@ -24,7 +24,7 @@ def _one_channel(lines: Sequence[str], source: str) -> Iterator[str]:
 
 
 @dataclass(frozen=True)
-class Head:
+class RewrittenHead:
     """Lines in place of the first `count` of a text; start and step, s, of times that are written as row numbers."""
 
     lines: Sequence[str]
@@ -32,12 +32,12 @@ class Head:
     clock: tuple[float, float] | None = None
 
 
-def _numbered(lines: Sequence[str]) -> Head:
+def _numbered(lines: Sequence[str]) -> RewrittenHead:
     """Return the head of Rigol: row numbers in place of times, start and increment in the header."""
     names, units = csv.reader(lines[:2])
     place = names.index("Start")
     heads = (f"{name} [{unit}]" for name, unit in zip(names[1:place], units[1:place], strict=True))
-    return Head([",".join(("time [s]", *heads))], 2, (float(units[place]), float(units[place + 1])))
+    return RewrittenHead([",".join(("time [s]", *heads))], 2, (float(units[place]), float(units[place + 1])))
 
 
 def _modelica(lines: Sequence[str], source: str) -> Iterator[str]:
@@ -57,7 +57,7 @@ def _modelica(lines: Sequence[str], source: str) -> Iterator[str]:
     yield from rows
 
 
-def _labview(lines: Sequence[str]) -> Head:
+def _labview(lines: Sequence[str]) -> RewrittenHead:
     """Return the head of a LabVIEW measurement: of the lines above the header only samples, interval and units."""
     ends = [k for k, line in enumerate(lines[:100]) if line.startswith("***End_of_Header***")]
     settings, (head, *rows) = lines[: ends[-1]], lines[ends[-1] + 1 :]
@@ -65,13 +65,13 @@ def _labview(lines: Sequence[str]) -> Head:
     commented = any(row.count(mark) >= head.count(mark) for row in rows[:100])
     kept = [line for line in settings if line.startswith(tuple(f"{key}{mark}" for key in _KEPT))]
     kept = kept if commented else [line.rstrip(mark) for line in kept]
-    return Head([*kept, head if commented else head.removesuffix(f"{mark}Comment")], ends[-1] + 2)
+    return RewrittenHead([*kept, head if commented else head.removesuffix(f"{mark}Comment")], ends[-1] + 2)
 
 
-def _after_said_lines(lines: Sequence[str]) -> Head:
+def _after_said_lines(lines: Sequence[str]) -> RewrittenHead:
     """Return the head of BioLogic: the second line counts its lines."""
     count = int(lines[1].rpartition(":")[2])
-    return Head([lines[count - 1]], count)
+    return RewrittenHead([lines[count - 1]], count)
 
 
 def _text_of_dymola(_lines: Sequence[str], source: str) -> Iterator[str]:
@@ -93,7 +93,7 @@ _LAYOUTS: tuple[tuple[re.Pattern[str], Callable[[Sequence[str], str], Iterator[s
 """How the text begins, and who rewrites it."""
 
 
-_HEADS: tuple[tuple[re.Pattern[str], Callable[[Sequence[str]], Head]], ...] = (
+_HEADS: tuple[tuple[re.Pattern[str], Callable[[Sequence[str]], RewrittenHead]], ...] = (
     (re.compile(r"LabVIEW Measurement\b"), _labview),
     (re.compile(r"[^\n]* ASCII FILE\s*\nNb header lines *: *\d+"), _after_said_lines),
     (re.compile(r"X,.*\bStart,Increment\b.*\n"), _numbered),
@@ -101,7 +101,7 @@ _HEADS: tuple[tuple[re.Pattern[str], Callable[[Sequence[str]], Head]], ...] = (
 """The same where only lines above the samples are rewritten."""
 
 
-def head_of(start: str) -> Head | None:
+def head_of(start: str) -> RewrittenHead | None:
     """Return the head in place of a text's own, by its begin; None for others."""
     function = next((function for begin, function in _HEADS if begin.match(start)), None)
     return None if function is None else function([line.rstrip("\r") for line in start.split("\n")])

@@ -87,7 +87,7 @@ def guess(
     for name, role in roles.items():
         match, reason = found.get(name, (None, None))
         unit = description.variables[name].unit
-        said = units.get(match or "") or unit_in_name(match or "", name, unit or "")
+        said = search.unit_of(description.variables[name], match or "")
         links.append(
             ColumnMatch(name, role, match, reason, unit, said, search.choices.get(name, ()) if not match else ())
         )
@@ -152,9 +152,13 @@ class _Guesses:
             return not bare.isdisjoint(own)
         return bool(converts) and any(a.startswith(b) or b.startswith(a) for a in own for b in bare)
 
+    def unit_of(self, variable: Variable, column: str) -> str | None:
+        """Return the unit of a variable's column: said, or at the end of its name."""
+        return self.units.get(column) or unit_in_name(column, variable.name, variable.unit or "")
+
     def _converts(self, variable: Variable, column: str) -> bool | None:
         """Return whether a column's unit converts to the variable's; None if unknown."""
-        unit = self.units.get(column) or unit_in_name(column, variable.name, variable.unit or "")
+        unit = self.unit_of(variable, column)
         if not unit or variable.unit in (None, "", "1"):
             return None
         return self._has_unit(variable, unit)

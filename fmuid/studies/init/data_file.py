@@ -111,13 +111,13 @@ class MatchedDataFile:
     def units(self) -> dict[str, str]:
         """Units that are given, or guessed from names of columns."""
         said = self.frame.attrs.get("units", {})
-        open_ = [each for each in self.links if each.column and each.column_unit not in (None, each.unit)]
         found = {
-            each.variable: str(each.column_unit)
-            for each in open_
-            if each.column not in said and not unit_in_name(str(each.column), each.variable)
+            each.variable: each.column_unit
+            for each in self.links
+            if self.in_time and each.column and each.column_unit and each.column_unit != each.unit
+            if each.column not in said and not unit_in_name(each.column, each.variable)
         }
-        return (found if self.in_time else {}) | dict(self.asked.units)
+        return found | dict(self.asked.units)
 
     def _as_given(self, found: Iterable[ColumnMatch]) -> tuple[ColumnMatch, ...]:
         """Return matches, with the given columns in place of theirs."""

@@ -70,6 +70,8 @@ class ParameterProposal(Enum):
 
 
 FREE = (ParameterProposal.FREED, ParameterProposal.START_FREED, ParameterProposal.START_OPEN)
+KEPT_STARTS = (ParameterProposal.START, ParameterProposal.START_HIDDEN)
+STARTS = (*KEPT_STARTS, ParameterProposal.START_FREED, ParameterProposal.START_OPEN)
 
 
 @dataclass(frozen=True)
@@ -115,22 +117,20 @@ def survey(fmu: Path, experiments: Sequence[Experiment]) -> Survey:
         try:
             with closing(System(fmu, numerics=Numerics(interface), isolation=Isolation())) as system:
                 found = _surveyed(system, description, experiments)
-                others = set(KINDS) & set(description.interfaces) - {interface}
-                return replace(
-                    found, lags=failure == "" and any(_lags(system, fmu, other, experiments) for other in others)
-                )
+                both = interface == "model-exchange" and "co-simulation" in description.interfaces
+                return replace(found, lags=both and _lags(system, fmu, experiments))
         except (InputError, SimulationError) as error:
             failure = str(error)
     return Survey(failure=failure)
 
 
-def _lags(system: System, fmu: Path, other: str, experiments: Sequence[Experiment]) -> bool:
-    """Return whether the other interface fails, or takes too long."""
+def _lags(system: System, fmu: Path, experiments: Sequence[Experiment]) -> bool:
+    """Return whether Co-Simulation fails, or takes too long beside a system."""
     for experiment in [each for each in experiments if each.kind == "time"][:1]:
         begun = time.perf_counter()
         Simulator(system, experiment)(())
         limit = max(SETTINGS.times_as_long * (time.perf_counter() - begun), SETTINGS.longest)
-        with closing(System(fmu, numerics=Numerics(other), isolation=Isolation(time_limit=limit))) as slow:
+        with closing(System(fmu, numerics=Numerics("co-simulation"), isolation=Isolation(time_limit=limit))) as slow:
             return Simulator(slow, experiment).many(np.empty((1, 0))).errors[0] is not None
     return False
 
@@ -251,7 +251,7 @@ def _proposed(
     weighted = np.where(finite, jacobian, 0.0) * changes.weights[:, None]
     likes = _select(columns, effects, uses, list(freed), weighted)
     # a study without free parameters cannot be identified
-    for last in (ParameterProposal.ZERO, ParameterProposal.START, ParameterProposal.START_HIDDEN):
+    for last in (ParameterProposal.ZERO, *KEPT_STARTS):
         if not any(use in FREE for use in uses):
             uses = [None if use is last else use for use in uses]
             likes = _select(columns, effects, uses, [], weighted)
@@ -350,6 +350,6 @@ def bounds(given: Candidate) -> dict[str, float]:
     variable, start = given.variable, given.start
     found = declared_bounds(variable, start)
     signed = (variable.unit or "") in _SIGNED or _PLACE.search(f"{variable.name} {variable.description}")
-    if found or signed or given.use.name.startswith("START") or not start:
+    if found or signed or given.use in STARTS or not start:
         return found
     return {"min": 0.0} if start > 0 else {"max": 0.0}
