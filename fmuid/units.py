@@ -104,6 +104,19 @@ class BaseUnit:
     offset: float
 
 
+_COMMON = {
+    "A": (0, 0, 0, 1),
+    "V": (1, 2, -3, -1),
+    "W": (1, 2, -3, 0),
+    "s": (0, 0, 1, 0),
+    "m": (0, 1, 0, 0),
+    "rad": (0, 0, 0, 0, 0, 0, 0, 1),
+    "rad/s": (0, 0, -1, 0, 0, 0, 0, 1),
+    "N.m": (1, 2, -2, 0),
+}
+"""Exponents of frequent units; most studies need no other, and pint is slow to import."""
+
+
 def time_unit(text: str) -> str | None:
     """Return a unit of time as in `SECONDS`, None for others: ``S`` is s in a time column."""
     return next((each for each in (text, text.lower(), text.lower().rstrip(".")) if each in SECONDS), None)
@@ -116,6 +129,8 @@ def parse_unit(text: str) -> BaseUnit | None:
     Angles have their own dimension, as in FMI: 1 Hz is not 1 rad/s.
     """
     text = text.strip()
+    if text in _COMMON:
+        return BaseUnit((*_COMMON[text], *(0,) * len(BASE))[: len(BASE)], 1.0, 0.0)
     based = _OF_BASE.fullmatch(text)
     if based is not None and text not in _SPELLINGS and (unit := parse_unit(based["unit"])) is not None:
         share = 0.01 if based["kind"] in ("%", "percent") else 1.0
@@ -148,10 +163,11 @@ def _as_pint(text: str) -> str:
 
 @cache
 def _registry() -> Any:
-    import pint  # slow to import
+    import pint
 
     registry: Any = pint.UnitRegistry(on_redefinition="ignore")
     registry.define("radian = [angle] = rad")
+    registry._build_cache()  # keeps the dimension of before else: mrad would convert to no angle
     return registry
 
 

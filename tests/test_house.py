@@ -147,7 +147,7 @@ IDENTIFY = "fmuid.identify(fmuid.datasets.coil().problem())"
         (
             f"import fmuid; {IDENTIFY}",
             {"fmuid.identification.identify", "scipy.linalg"},
-            {"fmuid.diagnosis.monitor", "scipy.optimize", "scipy.stats", "emcee", "distributed", "bokeh"},
+            {"fmuid.diagnosis.monitor", "scipy.optimize", "scipy.signal", "scipy.stats", "pint", "emcee", "bokeh"},
         ),
     ],
     ids=["import", "command", "simulation", "identification"],
@@ -157,6 +157,15 @@ def test_imports_are_only_the_needed_ones(code: str, needed: set[str], unneeded:
     loaded = set(subprocess.run(command, capture_output=True, text=True, check=True).stdout.split())
     assert needed <= loaded
     assert not loaded & unneeded
+
+
+def test_a_command_makes_its_own_document_alone(tmp_path: Path) -> None:
+    study = PACKAGE.parent / "experiments" / "induction_machine" / "study.toml"
+    code = "import atexit, sys; atexit.register(lambda: print(*sys.modules)); from fmuid.apps.cli import main; main()"
+    command = [sys.executable, "-c", code, "identify", str(study), "-o", str(tmp_path), "--no-report"]
+    loaded = set(subprocess.run(command, capture_output=True, text=True, check=True).stdout.split())
+    assert {"fmuid.reports.topics.identification", "pandas"} <= loaded
+    assert not loaded & {"fmuid.reports.topics.monitoring", "fmuid.diagnosis.monitor", "scipy.signal", "pint"}
 
 
 def test_tests_mirror_the_packages() -> None:

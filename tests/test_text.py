@@ -32,6 +32,7 @@ SPEED, TORQUE, OHM = (0, 0, -1, 0, 0, 0, 0, 1), (1, 2, -2, 0, 0, 0, 0, 0), (1, 2
         *((each, SPEED, math.pi / 30, 0.0) for each in ("rpm", "1/min", "n/min", "min⁻¹", "rev/min", "U/min")),
         ("Hz", (0, 0, -1, 0, 0, 0, 0, 0), 1.0, 0.0),
         *((each, TORQUE, 1.0, 0.0) for each in ("N.m", "Nm", "N·m", "kg.m2/s2")),
+        ("mrad", (0, 0, 0, 0, 0, 0, 0, 1), 1e-3, 0.0),
         ("mNm", TORQUE, 1e-3, 0.0),
         *((each, OHM, 1.0, 0.0) for each in ("Ohm", "Ω", "V/A")),
         ("W/(m2.K)", (1, 0, -3, 0, -1, 0, 0, 0), 1.0, 0.0),
@@ -49,6 +50,15 @@ def test_units(text: str, exponents: tuple[int, ...], factor: float, offset: flo
     assert found.exponents == exponents
     assert found.factor == pytest.approx(factor, rel=1e-12)
     assert found.offset == pytest.approx(offset, rel=1e-12)
+
+
+@pytest.mark.parametrize("text", ["A", "V", "W", "s", "m", "rad", "rad/s", "N.m"])
+def test_frequent_units_are_those_of_their_multiples(text: str) -> None:
+    unit, thousandth = parse_unit(text), parse_unit(f"m{text}")
+    assert unit is not None
+    assert thousandth is not None
+    assert (unit.factor, unit.offset, unit.exponents) == (1.0, 0.0, thousandth.exponents)
+    assert thousandth.factor == pytest.approx(1e-3, rel=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from fmuid.apps.cli.options import (
     showing_findings,
 )
 from fmuid.apps.cli.studies import logged
-from fmuid.reports import render
+from fmuid.reports import render, topics
 
 
 @showing_findings
@@ -67,7 +67,7 @@ def predict(
                 found = runs.predicted_by(path, records, like=experiment, **shared)
             else:
                 found = runs.cross_predicted(path, folds, progress=display, **shared)
-        _write(found, folder, report=not no_report, figures=figures)
+        _write(found, topics.prediction_document(found), folder, report=not no_report, figures=figures)
         return DONE
 
 
@@ -91,14 +91,15 @@ def compare(
     folder = runs.result_path(results[0]).resolve().parents[1] / "comparison" if output is None else output
     with logged(folder, no_isolation) as isolated:
         found = runs.compared(results, data or (), free=refit or (), isolated=isolated)
-        _write(found, folder, report=not no_report)
+        _write(found, topics.comparison_document(found), folder, report=not no_report)
         return DONE
 
 
-def _write(found: Any, folder: Path, *, report: bool, figures: FigureFormat | None = None) -> None:
+def _write(
+    found: Any, shown: reports.Document, folder: Path, *, report: bool, figures: FigureFormat | None = None
+) -> None:
     """Write, show and publish findings; they are shown also on a full disk."""
     files.make_folder(folder)
-    shown = reports.Document.of(found)
     try:
         found = runs.write_findings(folder, found)
     finally:

@@ -108,7 +108,7 @@ def identify(
         with answering("saving the results so far (Ctrl-C again: stop without)"), render.Display() as display:
             for each in runs.identified(read, folder, resume=resume, progress=partial(_show_event, display)):
                 display.pause()
-                before, shown = shown, reports.Document.of(each)
+                before, shown = shown, topics.identification_document(each)
                 render.show(shown, before)
                 known = each.assessment.residuals is not None
                 if left_out and known and not runs.at_minimum(each.result):
@@ -145,7 +145,8 @@ def diagnose(
     with opened(study, set_, no_isolation, folder) as read:
         if read.diagnosis is not None:
             render.show_notes([*topics.source_notes(read), *topics.input_notes(read.simulators())])
-        return _report(partial(runs.diagnosed, read, folder), folder, report=not no_report, figures=figures)
+        run = partial(runs.diagnosed, read, folder)
+        return _report(run, topics.diagnosis_document, folder, report=not no_report, figures=figures)
 
 
 @showing_findings
@@ -176,15 +177,22 @@ def monitor(
         saving = "saving the recordings evaluated so far; continue with --resume"
         with answering(saving):
             run = partial(runs.monitored, read, data, folder, append=resume)
-            return _report(run, folder, report=not no_report, figures=figures)
+            return _report(run, topics.monitoring_document, folder, report=not no_report, figures=figures)
 
 
-def _report(run: Callable[..., Iterator[Any]], folder: Path, *, report: bool, figures: FigureFormat | None) -> int:
+def _report(
+    run: Callable[..., Iterator[Any]],
+    document: Callable[[Any], reports.Document],
+    folder: Path,
+    *,
+    report: bool,
+    figures: FigureFormat | None,
+) -> int:
     """Run, show and publish a diagnosis or a monitoring run."""
     with render.Display() as display:
         for each in run(progress=display):
             display.pause()
-            shown = reports.Document.of(each)
+            shown = document(each)
             render.show(shown)
             found = reports.published(each, shown, folder, report=report, figures=figures)
     render.show_files(found.files)
@@ -207,7 +215,7 @@ def _follow(
     if watching is None or not watching.files:
         return DONE
     monitor = watching.monitor
-    written = publish(folder, reports.Document.of(runs.findings_of(monitor)), report=report)
+    written = publish(folder, topics.monitoring_document(runs.findings_of(monitor)), report=report)
     render.show_files([*watching.files, *written])
     return NOT_SUCCEEDED if monitor.alarms or monitor.undetermined else DONE
 
