@@ -61,21 +61,26 @@ class SensitivitySimulation:
 
 def directional_simulation(simulator: Simulator) -> SensitivitySimulation | None:
     """Return the simulation with the FMU's directional derivatives; None if they do not suffice."""
-    system, (model,) = simulator.system, simulator.system.components.values()
-    description, names = model.fmu.description, simulator.target_names
-    terms = [term for name in simulator.output_names for term in system.terms(name)]
-    involved = [system.variables[system.targets(name)[0][0]] for name in (*names, *terms)]
-    involved += [description.variables[name] for name in (*description.states, *description.derivatives)]
-    # neither with arrays nor for a parameter that is a state's start
-    scalar = all(variable.type == "Real" and not variable.array for variable in involved)
-    open_to_seeds = all(system.variables[name].causality in ("parameter", "input") for name in names)
-    if not (description.interfaces[model.kind].directional_derivatives and scalar and open_to_seeds):
+    system, names = simulator.system, simulator.target_names
+    if not gives_derivatives(system, simulator.output_names, names):
         return None
-    given = Sensitivities.of([system.variables[name].reference for name in names], len(description.states))
+    states = next(iter(system.components.values())).fmu.description.states
+    given = Sensitivities.of([system.variables[name].reference for name in names], len(states))
     task = task_of(system, simulator.experiment, names, *simulator.settings)
     plan = plan_of(task, partial(outputs_with_sensitivities, count=len(names)))
     simulation = GridSimulation(carrying(plan, given), grid_of(task), simulator.output_names * (1 + len(names)))
     return SensitivitySimulation(simulation, system, given)
+
+
+def gives_derivatives(system: System, outputs: Sequence[str], seeds: Sequence[str]) -> bool:
+    """Return whether the only FMU states directional derivatives; neither of arrays nor by start values of states."""
+    (model,) = system.components.values()
+    description, terms = model.fmu.description, [term for name in outputs for term in system.terms(name)]
+    involved = [system.variables[system.targets(name)[0][0]] for name in (*seeds, *terms)]
+    involved += [description.variables[name] for name in (*description.states, *description.derivatives)]
+    scalar = all(variable.type == "Real" and not variable.array for variable in involved)
+    open_to_seeds = all(system.variables[name].causality in ("parameter", "input") for name in seeds)
+    return description.interfaces[model.kind].directional_derivatives and scalar and open_to_seeds
 
 
 def carrying(plan: SimulationPlan, given: Sensitivities) -> SimulationPlan:

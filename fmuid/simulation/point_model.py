@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import pandas as pd
@@ -11,6 +12,7 @@ import pandas as pd
 from fmuid.array_types import Flags, Floats
 from fmuid.data import Experiment
 from fmuid.models import System
+from fmuid.simulation.forward_simulation import gives_derivatives
 from fmuid.simulation.right_hand_side import RightHandSide
 from fmuid.simulation.simulation_task import Value
 from fmuid.simulation.simulator import Simulator
@@ -25,6 +27,7 @@ class PointSettings:
     kink: float = 1e-2  # relative difference of the derivatives of both sides of an event, ...
     shorter: float = 0.25  # ... which stays at so much of the step; that of a curve shrinks with it
     rounding: float = 1e-9
+    allowed: float = 1e-3  # relative difference of directional derivatives from differences
 
 
 SETTINGS = PointSettings()
@@ -80,6 +83,8 @@ class StateSpace:
 class PointModel:
     """Derivatives and outputs of one FMU about K operating points.
 
+    Matrices are the FMU's directional derivatives where it has them and differences agree at first; else differences.
+
     Parameters
     ----------
     model : ModelOfPoints
@@ -105,37 +110,65 @@ class PointModel:
         columns = {name: np.zeros(1) for name in seeds} | dict(inputs)
         self.count = max((len(each) for each in columns.values()), default=1)
         columns = {name: np.broadcast_to(each, self.count) for name, each in columns.items()}
-        first = model.simulator({name: np.repeat(each, 2) for name, each in columns.items()}, self.outputs, units)
+        self._copies = 2 if self.count == 1 else 1  # one row is no experiment
+        repeated = {name: np.repeat(each, self._copies) for name, each in columns.items()}
+        first = model.simulator(repeated, self.outputs, units)
         probe = RightHandSide.of(first, by_rows=True)
         self.states: tuple[str, ...] = () if probe is None else probe.states
         self.is_open = probe is not None and bool(self.states)
         if probe is None or not self.states:
             return
-        self.nominals = probe.nominals
+        self.nominals, self._model, self._units = probe.nominals, model, units
+        self._columns = {name: np.array(each, dtype=np.float64) for name, each in columns.items()}
         # rows of a point: itself, each state up and down, each seed up and down
         self.rows = 1 + 2 * (len(self.states) + len(self.seeds))
         self.input_steps = {
             name: SETTINGS.input_step * np.where(columns[name] == 0.0, 1.0, np.abs(columns[name])) for name in seeds
         }
-        spread = {name: np.repeat(each[:, None], self.rows, axis=1) for name, each in columns.items()}
+        self._initial = probe.initial
+        exact = gives_derivatives(probe.system, self.outputs, self.seeds)
+        seeded = (*self.states, *self.seeds)
+        self._exact = RightHandSide.of(first, by_rows=True, seeds=seeded) if exact else None
+        self._is_checked = False
+
+    @cached_property
+    def _side(self) -> RightHandSide:
+        """The model at all rows of its points."""
+        spread = {name: np.repeat(each[:, None], self.rows, axis=1) for name, each in self._columns.items()}
         begin = 1 + 2 * len(self.states)
         for j, name in enumerate(self.seeds):
             spread[name][:, begin + 2 * j] += self.input_steps[name]
             spread[name][:, begin + 2 * j + 1] -= self.input_steps[name]
-        rows = model.simulator({name: each.ravel() for name, each in spread.items()}, self.outputs, units)
+        rows = self._model.simulator({name: each.ravel() for name, each in spread.items()}, self.outputs, self._units)
         side = RightHandSide.of(rows, by_rows=True)
         assert side is not None, "as the probe"
-        self._side = side
+        return side
 
     def initial(self, thetas: Floats) -> Floats | None:
         """Return the initial states (m, n_x); None if hidden or failed."""
-        return self._side.initial(thetas)
+        return self._initial(thetas)
 
     def at(self, states: Floats, thetas: Floats) -> StateSpace:
         """Return the linear models about states (K, n_x) for thetas (m, N); NaN after a failure."""
+        if self._exact is None:
+            return self._by_differences(states, thetas)
         n = len(self.states)
-        rates, outputs, sizes = self._around(states, thetas, SETTINGS.step)
-        steps = np.column_stack([sizes, *(self.input_steps[name] for name in self.seeds)])
+        values, slopes = self._exact.linear(np.repeat(states, self._copies, axis=0), thetas)
+        values, slopes = values[:, :: self._copies], slopes[:, :: self._copies]
+        parts = slopes[:, :, :n, :n], slopes[:, :, :n, n:], slopes[:, :, n:, :n], slopes[:, :, n:, n:]
+        found = StateSpace(*parts, values[..., :n], values[..., n:])
+        if not self._is_checked:
+            self._is_checked = True
+            other = self._by_differences(states, thetas)
+            if not _agree(found, other, self._steps(states) / SETTINGS.step):
+                self._exact = None
+                return other
+        return found
+
+    def _by_differences(self, states: Floats, thetas: Floats) -> StateSpace:
+        n = len(self.states)
+        rates, outputs = self._around(states, thetas, SETTINGS.step)
+        steps = self._steps(states)
         by_rates, by_outputs = (_slopes(each, steps) for each in (rates, outputs))
         parts = by_rates[..., :n], by_rates[..., n:], by_outputs[..., :n], by_outputs[..., n:]
         return StateSpace(*parts, rates[:, :, 0], outputs[:, :, 0])
@@ -144,7 +177,7 @@ class PointModel:
         """Return whether there is an event at each point (K,)."""
         found = []
         for step in (SETTINGS.step, SETTINGS.step * SETTINGS.shorter):
-            rates, _, _ = self._around(states, theta[None], step)
+            rates, _ = self._around(states, theta[None], step)
             base, up, down = (rates[0][:, where] for where in np.s_[:1, 1 : 2 * len(self.states) + 1 : 2, 2::2])
             down = down[:, : len(self.states)]
             found.append((np.abs(up + down - 2.0 * base).max(axis=1), np.abs(up - down).max(axis=1), base[:, 0]))
@@ -152,8 +185,8 @@ class PointModel:
         kinked = (bend > SETTINGS.kink * change) & (bend > SETTINGS.rounding * np.abs(base))
         return np.asarray((kinked & (shorter > 0.5 * SETTINGS.shorter * bend)).any(axis=1))
 
-    def _around(self, states: Floats, thetas: Floats, step: float) -> tuple[Floats, Floats, Floats]:
-        """Return rates and outputs (m, K, rows, n), and steps (K, n_x)."""
+    def _around(self, states: Floats, thetas: Floats, step: float) -> tuple[Floats, Floats]:
+        """Return rates and outputs (m, K, rows, n)."""
         n = len(self.states)
         sizes = step * np.maximum(np.abs(states), self.nominals)
         points = np.repeat(states[:, None], self.rows, axis=1)
@@ -162,7 +195,25 @@ class PointModel:
             points[:, 2 + 2 * i, i] -= sizes[:, i]
         found = self._side(points.reshape(-1, n), np.ascontiguousarray(thetas))
         rates, outputs = (each.reshape(len(thetas), self.count, self.rows, -1) for each in found)
-        return rates, outputs, sizes
+        return rates, outputs
+
+    def _steps(self, states: Floats) -> Floats:
+        """Return the steps (K, n_x + n_seeds) of differences."""
+        sizes = SETTINGS.step * np.maximum(np.abs(states), self.nominals)
+        return np.column_stack([sizes, *(self.input_steps[name] for name in self.seeds)])
+
+
+def _agree(one: StateSpace, other: StateSpace, sizes: Floats) -> bool:
+    """Return whether derivatives agree where the other ones are finite; `sizes` (K, n) are of states and seeds."""
+    for names, values in (("ab", other.rates), ("cd", other.outputs)):
+        first, second = (
+            np.concatenate([getattr(each, name) for name in names], axis=3) * sizes[:, None] for each in (one, other)
+        )
+        most = np.abs(second).max(axis=3, initial=0.0, keepdims=True)
+        bound = SETTINGS.allowed * most + SETTINGS.rounding * np.abs(values)[..., None]
+        if (np.isfinite(second) & ~(np.abs(first - second) <= bound)).any():
+            return False
+    return True
 
 
 def _slopes(values: Floats, steps: Floats) -> Floats:

@@ -6,7 +6,9 @@ The points are both ends of each sampling interval with its inputs: a held input
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -14,9 +16,9 @@ from fmuid.array_types import Floats
 from fmuid.models import System
 from fmuid.simulation import codes
 from fmuid.simulation.executor_pool import executor_of
-from fmuid.simulation.forward_simulation import extended_by, initial_simulation, initial_states
-from fmuid.simulation.plan_builder import grid_of, plan_of
-from fmuid.simulation.simulation_plan import GridSimulation
+from fmuid.simulation.forward_simulation import carrying, extended_by, initial_simulation, initial_states
+from fmuid.simulation.plan_builder import grid_of, outputs_with_sensitivities, plan_of
+from fmuid.simulation.simulation_plan import GridSimulation, Sensitivities
 from fmuid.simulation.simulation_task import task_of
 from fmuid.simulation.simulator import Simulator
 from fmuid.simulation.solver_refinement import by_model_exchange
@@ -25,11 +27,13 @@ from fmuid.simulation.solver_refinement import by_model_exchange
 class RightHandSide:
     """Derivatives and outputs of a model at the ends of sampling intervals; its `system` runs by Model Exchange.
 
-    With `by_rows` its points are the rows.
+    With `by_rows` its points are the rows. With `seeds`, states and inputs, the FMU gives directional derivatives, too.
     """
 
-    def __init__(self, simulator: Simulator, system: System, *, by_rows: bool = False) -> None:
-        self._simulator, self._system = simulator, system
+    def __init__(
+        self, simulator: Simulator, system: System, *, by_rows: bool = False, seeds: Sequence[str] = ()
+    ) -> None:
+        self._simulator, self.system, self._seeds = simulator, system, len(seeds)
         ((component, model),) = system.components.items()
         description = model.fmu.description
         self.states = tuple(system.full_name(component, name) for name in description.states)
@@ -55,14 +59,18 @@ class RightHandSide:
             states=np.zeros((len(ends), len(self.states))),
         )
         # nothing varies between points
-        plan, found = plan_of(replace(task, modes=dict.fromkeys(task.modes, codes.HELD))), task.experiment.output_names
-        self._simulation = GridSimulation(plan, self._points, found)
+        task, found = replace(task, modes=dict.fromkeys(task.modes, codes.HELD)), task.experiment.output_names
+        plan = plan_of(task, partial(outputs_with_sensitivities, count=len(seeds))) if seeds else plan_of(task)
+        if seeds:
+            references = [system.variables[name].reference for name in seeds]
+            plan = carrying(plan, Sensitivities.of(references, len(self.states)))
+        self._simulation = GridSimulation(plan, self._points, found * (1 + len(seeds)))
         # a derivative that was measured is there once
         self._columns = [found.index(name) for name in (*wanted, *outputs)]
         self._start = initial_simulation(simulator.by(system, 1, None))
 
     @classmethod
-    def of(cls, simulator: Simulator, *, by_rows: bool = False) -> RightHandSide | None:
+    def of(cls, simulator: Simulator, *, by_rows: bool = False, seeds: Sequence[str] = ()) -> RightHandSide | None:
         """Return a simulator's right-hand side; None unless one FMU shows its derivatives."""
         simulator, system = simulator.of_model, by_model_exchange(simulator.system)
         if system is None or len(system.components) > 1 or len(simulator.experiment.times) < 2:
@@ -73,22 +81,35 @@ class RightHandSide:
             variable = system.variables.get(system.full_name(component, name))
             if variable is None or variable.array or variable.causality not in ("output", "local"):
                 return None
-        return cls(simulator, system, by_rows=by_rows)
+        return cls(simulator, system, by_rows=by_rows, seeds=seeds)
 
     def __call__(self, states: Floats, thetas: Floats) -> tuple[Floats, Floats]:
         """Return derivatives (m, P, n_x) and outputs (m, P, n_y); in units of the data file; NaN after a failure.
 
         States are (P, n_x), P = 2 (K − 1) points: begin and end of each interval, or P = K rows.
         """
-        executor, count, given = executor_of(self._system), len(self.states), self._points.states
+        found, count = self._at(states, thetas)[:, :, 0], len(self.states)
+        return found[:, :, :count], self._simulator.in_table_units(found[:, :, count:])
+
+    def linear(self, states: Floats, thetas: Floats) -> tuple[Floats, Floats]:
+        """Return values (m, P, n) of [f, h], and derivatives by seeds.
+
+        The derivatives are (m, P, n, n_seeds), n = n_x + n_y. In units of the FMU; NaN after a failure.
+        """
+        found = self._at(states, thetas)
+        return found[:, :, 0], np.swapaxes(found[:, :, 1:], 2, 3)
+
+    def _at(self, states: Floats, thetas: Floats) -> Floats:
+        """Return values and derivatives of the FMU, (m, P, 1 + n_seeds, n)."""
+        executor, given = executor_of(self.system), self._points.states
         assert given is not None, "as made"
         job = self._simulation.job(self._simulator.target_values(thetas))
         with executor.lock:
             given[:] = states
             executor.run(job)
         job.outputs[job.failed] = np.nan
-        found = job.outputs[:, :, self._columns]
-        return found[:, :, :count], self._simulator.in_table_units(found[:, :, count:])
+        parts = 1 + self._seeds
+        return job.outputs.reshape(*job.outputs.shape[:2], parts, -1)[..., self._columns]
 
     @property
     def times(self) -> Floats:
@@ -127,14 +148,14 @@ class RightHandSide:
 
     def corrected(self, gain: Floats, tolerance: float, most_steps: int | None = None, every: int = 1) -> Simulator:
         """Return the simulator with states corrected by a gain (n_x, n_y)."""
-        return self._simulator.corrected(self._system, tolerance, gain, most_steps, every)
+        return self._simulator.corrected(self.system, tolerance, gain, most_steps, every)
 
     def simulator(self, tolerance: float, most_steps: int) -> Simulator:
         """Return the simulator by Model Exchange with a tolerance and step limit."""
-        return self._simulator.by(self._system, 1, tolerance, most_steps)
+        return self._simulator.by(self.system, 1, tolerance, most_steps)
 
     def initial(self, thetas: Floats) -> Floats | None:
         """Return the initial states (m, n_x) of thetas (m, N); None if hidden."""
         if self._start is None:
             return None
-        return initial_states(self._start, self._system, self._simulator.target_values(thetas))
+        return initial_states(self._start, self.system, self._simulator.target_values(thetas))

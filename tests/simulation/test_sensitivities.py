@@ -1,6 +1,5 @@
 """Sensitivities integrated with the model: against closed forms and against differences of whole simulations."""
 
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from tests.support.experiments import record
 from tests.support.exported import export_text
 from tests.support.hybrid import hybrid_fmu
 from tests.support.modelica import FRICTION, friction
+from tests.support.packing import changed
 from tests.support.paths import FMUS
 from tests.support.quick import first
 
@@ -37,19 +37,6 @@ both_ways = pytest.mark.parametrize("hidden", [False, True], ids=["directional",
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("forward")
-
-
-def changed(path: Path, folder: Path, old: str, new: str) -> Path:
-    """Return a copy of an FMU with another word in its description."""
-    copy = folder / f"{path.stem}-{abs(hash((str(path), old, new)))}.fmu"
-    with zipfile.ZipFile(path) as source, zipfile.ZipFile(copy, "w") as target:
-        for name in source.namelist():
-            data = source.read(name)
-            if name == "modelDescription.xml":
-                assert old.encode() in data
-                data = data.replace(old.encode(), new.encode())
-            target.writestr(name, data)
-    return copy
 
 
 def without_derivatives(path: Path, folder: Path) -> Path:

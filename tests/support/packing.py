@@ -30,3 +30,16 @@ def refusal(path: Path) -> str:
     folder = Path(__import__("platformdirs").user_cache_dir("fmuid")) / "unpacked"
     assert not folder.exists() or not list(folder.iterdir())
     return sentence
+
+
+def changed(path: Path, folder: Path, old: str, new: str) -> Path:
+    """Return a copy of an FMU with another word in its description."""
+    copy = folder / f"{path.stem}-{abs(hash((str(path), old, new)))}.fmu"
+    with zipfile.ZipFile(path) as source, zipfile.ZipFile(copy, "w") as target:
+        for name in source.namelist():
+            data = source.read(name)
+            if name == "modelDescription.xml":
+                assert old.encode() in data
+                data = data.replace(old.encode(), new.encode())
+            target.writestr(name, data)
+    return copy

@@ -154,9 +154,13 @@ int integrator_enter_events(Integrator *self, double t) {
 
 int integrator_leave_events(Integrator *self, double t) { return leave_event_mode(self, t); }
 
-/* Give the FMU states x at time t, and the events that they cause; integration starts anew from there. */
+/* Give the FMU states x at time t, and the events that they cause; integration starts anew from there, sensitivities
+ * from their initial values. */
 int integrator_show(Integrator *self, double t, const double *x) {
-  copy(self->n_total, x, self->x_end);
+  const size_t n = self->how.n_states;
+  copy(n, x, self->x_end);
+  if (self->how.sensitivities)
+    copy(n * self->how.sensitivities->count, self->how.sensitivities->initial, self->x_end + n);
   self->step_start = self->step_end = t;
   self->step_length = 0.0;
   self->can_go_on = false;
