@@ -7,13 +7,13 @@ import re
 import subprocess
 import sys
 from graphlib import TopologicalSorter
-from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
 import fmuid
+from tests.support.coil_study import STUDY, coil_table
 from tests.support.house import PACKAGE, face, imported, modules, tree, uses
 
 # Packages in a package that others import from module by module: there is no use for one face of all figures.
@@ -130,42 +130,39 @@ def test_public_names_are_those_of_the_stub() -> None:
 
 
 HEAVY = {"numpy", "pandas", "threadpoolctl", "matplotlib", "fmpy", "scipy", "pyarrow", "pydantic", "bokeh", *EXTRAS}
-FACES = "fmuid.Simulator, fmuid.Experiment, fmuid.simulation.executor_of, fmuid.simulation.executor"
-IDENTIFY = "fmuid.identify(fmuid.datasets.coil().problem())"
+SIMULATE = (
+    "import fmuid, fmuid.simulation.executor; "
+    "fmuid.Simulator, fmuid.Experiment, fmuid.simulation.executor_of, fmuid.simulation.executor"
+)
+IDENTIFY = "from fmuid.apps.cli.app import run; run(['identify', 'study.toml', '--no-report'])"
+OTHERS = {
+    *("fmuid.reports.topics.monitoring", "fmuid.diagnosis.monitor", "pint", "emcee", "bokeh"),
+    *("scipy.optimize", "scipy.signal", "scipy.stats"),
+}
 
 
 @pytest.mark.parametrize(
     ("code", "needed", "unneeded"),
     [
-        ("import fmuid", {"fmuid"}, HEAVY),
         ("import fmuid.apps.cli.app", {"fmuid"}, HEAVY),
         (
-            f"import fmuid, fmuid.simulation.executor; {FACES}",
+            SIMULATE,
             {"fmuid.simulation.native.library", "pandas"},
             {"fmpy", "scipy", "pydantic", "matplotlib", "psutil", "urllib.request"},
         ),
-        (
-            f"import fmuid; {IDENTIFY}",
-            {"fmuid.identification.identify", "scipy.linalg"},
-            {"fmuid.diagnosis.monitor", "scipy.optimize", "scipy.signal", "scipy.stats", "pint", "emcee", "bokeh"},
-        ),
+        (IDENTIFY, {"fmuid.reports.topics.identification", "scipy.linalg"}, OTHERS),
     ],
-    ids=["import", "command", "simulation", "identification"],
+    ids=["command", "simulation", "identification"],
 )
-def test_imports_are_only_the_needed_ones(code: str, needed: set[str], unneeded: set[str]) -> None:
+def test_imports_are_only_the_needed_ones(code: str, needed: set[str], unneeded: set[str], tmp_path: Path) -> None:
+    """Of a command, of a simulation, of an identification, which makes its own document alone."""
+    coil_table(tmp_path / "first.csv", 0.0, seed=1)
+    (tmp_path / "study.toml").write_text(STUDY)
     command = [sys.executable, "-c", f"import sys; {code}; print(*sys.modules)"]
-    loaded = set(subprocess.run(command, capture_output=True, text=True, check=True).stdout.split())
+    said = subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path).stdout
+    loaded = set(said.splitlines()[-1].split())
     assert needed <= loaded
     assert not loaded & unneeded
-
-
-def test_a_command_makes_its_own_document_alone(tmp_path: Path) -> None:
-    study = PACKAGE.parent / "experiments" / "induction_machine" / "study.toml"
-    code = "import atexit, sys; atexit.register(lambda: print(*sys.modules)); from fmuid.apps.cli import main; main()"
-    command = [sys.executable, "-c", code, "identify", str(study), "-o", str(tmp_path), "--no-report"]
-    loaded = set(subprocess.run(command, capture_output=True, text=True, check=True).stdout.split())
-    assert {"fmuid.reports.topics.identification", "pandas"} <= loaded
-    assert not loaded & {"fmuid.reports.topics.monitoring", "fmuid.diagnosis.monitor", "scipy.signal", "pint"}
 
 
 def test_tests_mirror_the_packages() -> None:
@@ -175,37 +172,3 @@ def test_tests_mirror_the_packages() -> None:
     assert {path.name for path in tests.iterdir() if path.is_dir() and path.name != "__pycache__"} <= packages
     for path in tests.rglob("*.py"):
         assert not re.search(r"^\s*(from|import) tests\.[\w.]*test_", path.read_text(encoding="utf-8"), re.M), path
-
-
-# --- two walks: each step is an import, so that a reader can follow it, and neither is long
-
-COLUMN = (
-    *("studies.study", "studies.model", "data.data_file", "data.readers.text", "data.headers", "data.clock"),
-    *("data.preprocessing", "data.experiment", "identification.problem", "estimation.problem"),
-    *("estimation.cost_function", "estimation.local_search", "estimation.result"),
-    *("runs.findings", "reports.topics.fit", "reports.chart", "reports.render.bokeh_renderer", "reports.render.html"),
-)
-"""From a column of a CSV file to its figure in the report."""
-PRIOR = (
-    *("studies.parameters", "data.priors", "data.parameters", "estimation.problem", "estimation.cost_function"),
-    *("identification.acquisition_delay", "identification.sampler", "identification.posterior"),
-    *("identification.assessment", "runs.findings", "reports.topics.uncertainty_charts", "reports.chart"),
-    *("reports.render.bokeh_renderer", "reports.render.html"),
-)
-"""From a parameter's prior to the figure of its posterior."""
-
-
-def is_step(one: str, other: str) -> bool:
-    """Return whether one of two modules imports the other, or a module of the package of one imports both."""
-    if other in uses(modules()[one]) or one in uses(modules()[other]):
-        return True
-    packages = {each.rpartition(".")[0] for each in (one, other)}
-    beside = [path for package in packages for path in (PACKAGE / package.replace(".", "/")).glob("*.py")]
-    return any({one, other} <= uses(path) for path in beside)
-
-
-@pytest.mark.parametrize(("walk", "most"), [(COLUMN, 18), (PRIOR, 14)], ids=["column", "prior"])
-def test_a_walk_is_short_and_no_room_is_entered_twice(walk: tuple[str, ...], most: int) -> None:
-    assert len(walk) == len(set(walk)) <= most
-    assert [step for step in pairwise(walk) if not is_step(*step)] == []
-    assert not is_step("data.clock", "reports.chart")
