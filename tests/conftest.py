@@ -11,9 +11,9 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from fmuid.files import replacing
 from tests.support.compiled import ProbeMaker, write_fmu
 from tests.support.paths import HERE
+from tests.support.quick import draw_nothing
 
 # readline, which pytest imports, exports the width of the terminal to all processes of a test.
 os.environ.pop("COLUMNS", None)
@@ -64,16 +64,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 def blank_figures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Reports are empty; figures are made and written, but nothing is laid out or drawn in them, which takes longer than all the rest."""
     if "drawn_figures" not in request.fixturenames:
-        monkeypatch.setattr("matplotlib.figure.Figure.get_layout_engine", lambda _: None)
-        monkeypatch.setattr("matplotlib.backends.backend_agg.FigureCanvasAgg.draw", lambda self: self.get_renderer())
-        monkeypatch.setattr("fmuid.reports.publish.write_report", blank_report)
-
-
-def blank_report(folder: Path) -> Path:
-    """Write a report of nothing, which takes no time."""
-    with replacing(folder / "report.html") as draft:
-        draft.write_text("")
-    return folder / "report.html"
+        draw_nothing(monkeypatch)
 
 
 @pytest.fixture

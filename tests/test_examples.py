@@ -17,7 +17,7 @@ import fmuid
 
 NAMES = sorted(name for name in set(dir(fmuid)) - {"__version__"} if not inspect.ismodule(getattr(fmuid, name)))
 # They start processes of their own, or do a whole study and more.
-SLOW = {"Batch", "BatchResult", "validate"}
+SLOW = {"Batch", "BatchResult", "IdentificationRun", "SamplerSettings", "validate"}
 
 
 def examples(name: str, found: object) -> list[doctest.DocTest]:

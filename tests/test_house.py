@@ -134,7 +134,7 @@ SIMULATE = (
     "import fmuid, fmuid.simulation.executor; "
     "fmuid.Simulator, fmuid.Experiment, fmuid.simulation.executor_of, fmuid.simulation.executor"
 )
-IDENTIFY = "from fmuid.apps.cli.app import run; run(['identify', 'study.toml', '--no-report'])"
+IDENTIFY = "from fmuid.apps.cli.app import run; run(['identify', 'study.toml', '--no-isolation', '--no-report'])"
 OTHERS = {
     *("fmuid.reports.topics.monitoring", "fmuid.diagnosis.monitor", "pint", "emcee", "bokeh"),
     *("scipy.optimize", "scipy.signal", "scipy.stats"),

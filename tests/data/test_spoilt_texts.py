@@ -18,7 +18,7 @@ TEXTS = instrument_texts.texts(FRAME, DATES)
 WITHOUT_TIMES = {"LabVIEW without times", "Yokogawa"}
 """Texts in which nothing shows a row that is gone."""
 FACTORS = {"rpm": np.pi / 30, "mA": 1e-3}
-COUNTS = [2, pytest.param(20, marks=pytest.mark.slow)]
+COUNTS = [1, pytest.param(20, marks=pytest.mark.slow)]
 
 
 @pytest.mark.parametrize("count", COUNTS)

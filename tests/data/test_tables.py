@@ -315,6 +315,7 @@ def test_short_texts_of_labview(tmp_path: Path) -> None:
     np.testing.assert_array_equal(frame["a"], [0.25, 1.25, 2.25])
 
 
+@pytest.mark.slow
 def test_text_far_down_a_long_table(tmp_path: Path) -> None:
     """Pandas reads long tables in parts, of which each may have a type of its own."""
     rows = [f"{k / 1000},{k % 17}" for k in range(100_000)]

@@ -59,8 +59,8 @@ def test_each_line_and_sensor_is_a_cause() -> None:
     [
         ("gain(ia)", 0.01, {"sensor": 1.01}),
         ("input gain(ub)", 0.01, {"line": 1.0 / 1.01}),
-        ("joint(b)", 0.1, {"joint": (0.0, 0.1, 0.0)}),
-        ("dead time", 0.5, {"dead_time": 0.5}),
+        pytest.param("joint(b)", 0.1, {"joint": (0.0, 0.1, 0.0)}, marks=pytest.mark.slow),
+        pytest.param("dead time", 0.5, {"dead_time": 0.5}, marks=pytest.mark.slow),
     ],
 )
 def test_columns_are_what_the_windings_show(name: str, size: float, errors: dict[str, Any]) -> None:

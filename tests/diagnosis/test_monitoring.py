@@ -115,6 +115,7 @@ def test_an_onset_within_a_window(healthy_coil: fmuid.Result) -> None:
     assert found.table["variance_ratio"][9:].max() < 1.2  # the models are linearized where the fault is
 
 
+@pytest.mark.slow
 def test_a_size_that_grows(healthy_coil: fmuid.Result) -> None:
     table = warming(20, to=4.0, fails=8.0, size=0.05, seed=7, grows=0.05)
     found = watched(healthy_coil, table, replace(RULE, limits={"turns.dR": 1.0}))
@@ -178,6 +179,7 @@ def test_a_gap_is_skipped(healthy_coil: fmuid.Result) -> None:
     assert "from 0 s, 1 s, 2 s, 3 s, 4 s and 3 more skipped" in many
 
 
+@pytest.mark.slow
 def test_colored_noise_is_no_fault(healthy_coil: fmuid.Result) -> None:
     """Noise of a correlation time of 10 samples, as in the healthy record."""
 
@@ -202,6 +204,7 @@ def test_an_unexplained_change_is_an_alarm(healthy_coil: fmuid.Result) -> None:
     assert told(found).startswith("ALARM unexplained change")
 
 
+@pytest.mark.slow
 def test_a_small_fault_is_found_over_many_windows(healthy_coil: fmuid.Result) -> None:
     """0.14 Ω are 3 standard deviations of a window: hardly one of them is significant by itself at this level."""
     found = watched(healthy_coil, warming(30, to=4.15, fails=12, size=0.14, seed=4))

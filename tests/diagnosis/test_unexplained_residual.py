@@ -24,6 +24,7 @@ def examined(rng: np.random.Generator, healthy: list[float], new: float) -> Unex
     return structure.test(said(rng, new), 1.0)
 
 
+@pytest.mark.slow
 def test_level_and_power_beside_one_record() -> None:
     """Uniform where nothing changes, whatever both records have that the model has not; a late response is seen."""
     rng = np.random.default_rng(1)

@@ -6,6 +6,7 @@ import pytest
 from fmuid import Cache, Marquardt, Noise, Parameter, Result
 from fmuid.array_types import Floats
 from fmuid.estimation import Evaluator, LeastSquares, TerminationReason
+from tests.support.quick import first
 
 TIMES = np.linspace(0.0, 3.0, 60)
 STARTS = {"a": Parameter(1.0), "k": Parameter(3.0), "c": Parameter(-1.0)}
@@ -40,7 +41,7 @@ class Draws:
         return {seed: Marquardt().search(Evaluator(self.problem(seed), cache)) for seed in seeds}
 
 
-@pytest.mark.parametrize(("std", "shared"), [(0.02, True), (0.4, False)])
+@pytest.mark.parametrize(("std", "shared"), first(1, [(0.02, True), (0.4, False)]))
 def test_cache_spares_simulations_and_moves_no_estimate(std: float, shared: bool) -> None:
     """Where the estimates scatter over too many cells, no cell is used, and none is paid for."""
     seeds = list(range(1, 11 if shared else 7))

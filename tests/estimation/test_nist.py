@@ -11,6 +11,7 @@ from tests.support.paths import HERE
 FOLDER = HERE / "nist"
 NAMES = [name for name in MODELS if (FOLDER / f"{name}.dat").exists()]
 CASES = [(name, start) for name in NAMES for start in (0, 1)]
+LONG = {"Bennett5", "MGH10", "BoxBOD"}
 
 
 @cache
@@ -19,7 +20,9 @@ def solved(name: str, start: int) -> tuple[Reference, Result]:
     return reference, solve(name, reference, start)
 
 
-@pytest.mark.parametrize(("name", "start"), CASES)
+@pytest.mark.parametrize(
+    ("name", "start"), [pytest.param(*each, marks=pytest.mark.slow if each[0] in LONG else ()) for each in CASES]
+)
 def test_certified_values(name: str, start: int) -> None:
     reference, result = solved(name, start)
     assert result.converged, result.outcome
@@ -31,6 +34,7 @@ def test_certified_values(name: str, start: int) -> None:
     assert result.fit.noise_variance["y"] == pytest.approx(reference.sum_of_squares / free, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_solved_as_often_as_by_scipy() -> None:
     ours = sum(digits(solved(*case)[1].values, solved(*case)[0].certified) >= DIGITS for case in CASES)
     assert ours >= sum(scipy_digits(name, solved(name, start)[0], start) >= DIGITS for name, start in CASES)

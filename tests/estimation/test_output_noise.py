@@ -46,6 +46,7 @@ def test_a_line_of_the_excitation_stays() -> None:
     assert noise_of(residual, residual + hum(2.0)).lines.size == 0
 
 
+@pytest.mark.slow
 def test_few_lines_are_found_in_noise() -> None:
     counts = [noise_of(np.random.default_rng([5, k]).standard_normal(COUNT)).lines.size for k in range(40)]
     assert sum(counts) == 0

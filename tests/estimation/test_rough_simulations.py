@@ -99,10 +99,8 @@ def test_a_search_that_gains_nothing_ends() -> None:
     assert (np.abs(result.values - GROWTH_TRUTH) < 4.0 * result.std).all()
 
 
-SLOW = (pytest.param(*each, marks=pytest.mark.slow) for each in ((0.1, 1e-4), (0.01, 1e-6), (0.01, 1e-4)))
-
-
-@pytest.mark.parametrize(("std", "amplitude"), [(0.1, 1e-6), *SLOW])
+@pytest.mark.slow
+@pytest.mark.parametrize(("std", "amplitude"), [(0.1, 1e-6), (0.1, 1e-4), (0.01, 1e-6), (0.01, 1e-4)])
 def test_noise_that_was_not_there_at_the_start(amplitude: float, std: float) -> None:
     """The optimum and the standard deviations of the smooth simulation, and all parameters identifiable."""
     y, reference = smooth(std)
@@ -112,7 +110,8 @@ def test_noise_that_was_not_there_at_the_start(amplitude: float, std: float) -> 
     np.testing.assert_allclose(result.std, reference.std, rtol=0.1)
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
 def test_kinks_seen_through_an_adaptive_integrator(seed: int) -> None:
     """min and max: steps of differences that fit the noise at the start end the search far from any optimum."""
     result = fit(lambda theta: push(theta, 1e-4), noisy(push(PUSH_TRUTH, 1e-9), 0.1, seed), (1.5, 1.5, 0.8))

@@ -39,12 +39,14 @@ def check_both_are_nearest(errors: np.ndarray) -> None:
     assert (means.loc["both"] < means.loc["data alone"]).all()
 
 
+@pytest.mark.slow
 def test_the_committed_draws_are_these(clean: pd.DataFrame, committed: np.ndarray) -> None:
     assert len(committed) == chapter.DRAWS
     check_both_are_nearest(committed)
     assert chapter.draws(clean, 3, chapter.SEED) == pytest.approx(committed[:3], abs=2e-3)
 
 
+@pytest.mark.slow
 def test_the_page_shows_what_comes_out(
     clean: pd.DataFrame,
     table: pd.DataFrame,

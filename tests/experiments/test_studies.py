@@ -19,7 +19,10 @@ EMPS = EXPERIMENTS / "emps" / "study.toml"
 PUBLISHED = np.array([95.1089, 203.5034, 20.3935, -3.1648])
 
 
-@pytest.mark.parametrize("factors", [(1.5, 0.5, 1.5, 0.5), (0.5, 1.5, 0.5, 1.5), (1.5, 1.5, 1.5, 1.5), (0.5,) * 4])
+FACTORS = (pytest.param(each, marks=pytest.mark.slow) for each in ((0.5, 1.5, 0.5, 1.5), (1.5,) * 4, (0.5,) * 4))
+
+
+@pytest.mark.parametrize("factors", [(1.5, 0.5, 1.5, 0.5), *FACTORS])
 def test_induction_machine_comes_back_from_starts_50_percent_away(factors: tuple[float, ...]) -> None:
     truth = make_table.TRUTH
     overrides = [f"parameters.{n}.start={f * truth[n]}" for n, f in zip(truth, factors, strict=True)]
@@ -81,6 +84,7 @@ def drive_record(samples: int = 3000, substeps: int = 20) -> pd.DataFrame:
     return pd.DataFrame({"t": times, "qg": reference, "vir": voltage})
 
 
+@pytest.mark.slow
 def test_coupled_drive_and_controller_give_the_parameters_of_a_simulated_record(tmp_path: Path) -> None:
     drive_record().to_csv(tmp_path / "record.csv", index=False)
     overrides = [f"experiments.0.data={tmp_path / 'record.csv'}", 'model.fixed."drive.q_start"=0.0']

@@ -73,6 +73,7 @@ def test_units_in_base_units() -> None:
     assert 750 / float(rpm.get("factor", "")) == pytest.approx(750 * 2 * np.pi / 60)  # rad/s
 
 
+@pytest.mark.slow
 def test_derived_units_are_those_of_pint(exported: Exporter) -> None:
     units = [*_DERIVED_UNITS, "F.V/s", "C/F", "W/(m2.K)", "J/(mol.K)", "cd/m2"]
     lines = [f'parameter Real p{k}(unit="{unit}") = 1;' for k, unit in enumerate(units)]

@@ -14,7 +14,7 @@ from tests.support.exported import both_versions, running
 from tests.support.modelica import integrals, model
 
 
-@both_versions
+@pytest.mark.parametrize("fmi", ["2.0", "3.0"])
 def test_values_at_and_between_whole_numbers(exported: Exporter, fmi: str) -> None:
     text = """model Values input Real u, w; parameter Real a = 2; output Real y1, y2, y3, y4, y5;
 equation y1 = floor(u); y2 = ceil(u); y3 = mod(u, w); y4 = mod(floor(a), 3)*u; y5 = noEvent(floor(u) + mod(u, a));

@@ -99,6 +99,7 @@ def wave(curved: Path, start: float, extra: Callable[[Floats], Floats] | None = 
     return fmuid.Problem(curved, fmuid.Experiment(frame, [], ["y"]), parameters)
 
 
+@pytest.mark.slow
 def test_a_good_start_takes_what_it_took(curved: Path) -> None:
     """Not one simulation more, and the same estimates to the last bit."""
     near = wave(curved, 3.0)

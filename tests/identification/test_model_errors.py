@@ -122,6 +122,11 @@ DIRECTIONS: dict[tuple[ErrorKind, tuple[str, ...]], Callable[[Floats, float], Fl
     (ErrorKind.LAG, ("i",)): lambda u, h: lagging(u, h),
     (ErrorKind.CLOCK, ("i",)): lambda u, h: closed(u) + 0.5 * (slower(u, h) - slower(u, -h)),
 }
+LONG = {  # integrated step by step
+    *(ErrorKind.DEAD_TIME, ErrorKind.DRIFT, ErrorKind.SATURATION),
+    *(ErrorKind.INTERPOLATION, ErrorKind.LAG, ErrorKind.CLOCK),
+}
+KEYS = [pytest.param(key, marks=pytest.mark.slow if key[0] in LONG else ()) for key in DIRECTIONS]
 SIZES = {ErrorKind.DELAY: 0.5, ErrorKind.CLOCK: 0.5, ErrorKind.LAG: 0.5}  # of secants
 
 
@@ -157,7 +162,7 @@ def nearly_exact() -> tuple[Floats, Problem, Result]:
     return u, problem, fmuid.identify(problem)
 
 
-@pytest.mark.parametrize("key", DIRECTIONS, ids=lambda key: f"{key[0].value} of {', '.join(key[1])}")
+@pytest.mark.parametrize("key", KEYS, ids=lambda key: f"{key[0].value} of {', '.join(key[1])}")
 def test_columns_are_the_slopes_of_the_equations(key: tuple[ErrorKind, tuple[str, ...]]) -> None:
     u, problem, result = nearly_exact()
     found = {(each.kind, each.subject): each for each in problem.directions(result)}[key]
@@ -228,7 +233,7 @@ def test_probability_of_the_largest_score() -> None:
         ("sound", None),
         ("colored", None),
         ("half a sample late", ErrorKind.DELAY),
-        ("dead time", ErrorKind.DEAD_TIME),
+        pytest.param("dead time", ErrorKind.DEAD_TIME, marks=pytest.mark.slow),
         ("offset", ErrorKind.OFFSET),
     ],
 )
@@ -324,6 +329,7 @@ def test_feedback_is_an_f_test_of_two_regressions() -> None:
 # --- refit
 
 
+@pytest.mark.slow
 def test_refit_weighs_samples_by_their_own_noise() -> None:
     rng = np.random.default_rng(33)
     u, level = held_voltage(rng), np.where(np.arange(COUNT) < COUNT // 2, 0.05, 0.5)
@@ -342,6 +348,7 @@ def test_refit_weighs_samples_by_their_own_noise() -> None:
     assert (np.abs(again.result.values[:2] - [R, L]) < 3.0 * again.result.std[:2]).all()
 
 
+@pytest.mark.slow
 def test_two_errors_are_freed_one_after_the_other() -> None:
     problem, result = identified("late with an offset")
     again = refit(problem.as_in(result), result, found_in("late with an offset"))
@@ -364,6 +371,7 @@ def test_alternatives_widen_intervals() -> None:
     assert verdict.freed and verdict.reasons == (Reason.MODEL_ERROR,)
 
 
+@pytest.mark.slow
 def test_an_alternative_of_usual_size_is_freed() -> None:
     """L fixed 30 % too large, or gains 30 % off: a sensor is not so wrong."""
     rng = np.random.default_rng([34, 0])
@@ -382,6 +390,7 @@ def test_an_alternative_of_usual_size_is_freed() -> None:
     assert abs(again.result.values[0] - R) < 3.0 * again.result.std[0]
 
 
+@pytest.mark.slow
 def test_no_error_is_freed_that_is_not_significant(monkeypatch: pytest.MonkeyPatch) -> None:
     problem, result = identified("half a sample late")
     module = importlib.import_module("fmuid.identification.refit")
@@ -422,7 +431,7 @@ def test_profiles_are_of_the_model_without_freed_errors(tmp_path: Path) -> None:
     assert str(fmuid.Document.of(found))
 
 
-@pytest.mark.parametrize("mode", ["refit", "report", "off"])
+@pytest.mark.parametrize("mode", ["refit", "report", pytest.param("off", marks=pytest.mark.slow)])
 def test_a_study_frees_reports_or_ignores_errors(tmp_path: Path, mode: str) -> None:
     study = late_study(tmp_path, estimation={"model_error": mode})
     found = fmuid.run(study, tmp_path / "results")

@@ -50,6 +50,7 @@ def errors(count: int) -> tuple[np.ndarray, np.ndarray]:
     return relative, scores
 
 
+@pytest.mark.slow
 def test_random_machines_are_near_their_nameplates() -> None:
     relative, scores = errors(4)
     assert np.median(np.abs(relative), axis=0).max() < 0.05

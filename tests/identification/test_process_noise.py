@@ -16,6 +16,7 @@ from fmuid.identification.model_errors import ProcessNoise
 from fmuid.identification.process_noise import find_process_noise
 from fmuid.reports.topics.assumptions import model_error_remarks
 from tests.support.held_coil import COUNT, L, R, closed, held_voltage, problem_of
+from tests.support.quick import first
 
 STEP = 0.01
 DRIVE = np.array([[0.0, 1.0, 0.0], [0.0, -0.5, 4.0], [0.0, -3.0, -20.0]])  # angle, speed, current
@@ -44,11 +45,14 @@ def found_in(problem: fmuid.Problem) -> ProcessNoise | None:
     return problem.process_noise(fmuid.identify(problem))
 
 
-@pytest.mark.parametrize("coefficients", [(), (0.6,), (1.2, -0.5)])
+@pytest.mark.parametrize(
+    "coefficients", [(), *(pytest.param(each, marks=pytest.mark.slow) for each in ((0.6,), (1.2, -0.5)))]
+)
 def test_noise_of_sensors_is_no_disturbance(coefficients: Sequence[float]) -> None:
     assert [found_in(coil(seed, coefficients)[0]) for seed in range(4)] == [None] * 4
 
 
+@pytest.mark.slow
 def test_a_disturbed_voltage_disturbs_the_current() -> None:
     for seed in range(4):
         problem, share = coil(seed, disturbance=6.0)
@@ -71,7 +75,7 @@ def drive(seed: int, state: int, seen: Sequence[int]) -> tuple[DiscreteStateSpac
     return DiscreteStateSpace(e, by_rate, np.eye(3)[list(seen)]), y + 0.5 * y.std(axis=0) * rng.standard_normal(y.shape)
 
 
-@pytest.mark.parametrize("state", [1, 2])
+@pytest.mark.parametrize("state", first(1, [1, 2]))
 def test_the_disturbed_state_of_a_drive_is_named(state: int) -> None:
     for seed in range(3):
         space, residual = drive(seed, state, (1, 2))

@@ -48,6 +48,7 @@ def test_ljung_box_is_the_published_formula() -> None:
     assert probability == pytest.approx(stats.chi2(7).sf(expected), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_whiteness_in_short_records_that_a_fit_has_smoothed() -> None:
     """A polynomial of five coefficients through 30 samples with gaps: the limit alarms in 6 % for 1 %."""
     places = np.flatnonzero(np.arange(36) % 6 != 4)

@@ -63,7 +63,7 @@ STATUSES = {
 }
 
 
-@pytest.mark.parametrize("mode", first(4, CRASHES))
+@pytest.mark.parametrize("mode", first(2, CRASHES))
 def test_crash_costs_one_simulation(folder: Path, mode: Mode, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fmuid.processes.limits.STOPPED_SECONDS", 0.2)
     check_costs_only_its_own(misbehaving_fmu(folder), thetas(mode), CRASHES[mode], Isolation(time_limit=600.0))
@@ -90,7 +90,7 @@ def test_hang_or_memory_costs_one_simulation(
     check_costs_only_its_own(misbehaving_fmu(folder), thetas(mode), words, isolation, **given)
 
 
-@pytest.mark.parametrize("mode", first(2, STATUSES))
+@pytest.mark.parametrize("mode", first(1, STATUSES))
 def test_failing_status_equals_in_process(folder: Path, mode: Mode) -> None:
     """Also after a reset that fails: it is not charged to the next simulation."""
     fmu, some = misbehaving_fmu(folder), thetas(mode)
@@ -226,6 +226,7 @@ def test_fmu_with_state_of_the_whole_process(folder: Path) -> None:
         alone[1](some)
 
 
+@pytest.mark.slow
 def test_threads_call_simulators_at_the_same_time(folder: Path) -> None:
     """Four threads, three systems, one of them shared, one that crashes now and then."""
     shared, crashing, own = (Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=SMALL) for _ in range(3))

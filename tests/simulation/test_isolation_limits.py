@@ -20,6 +20,7 @@ from fmuid.simulation.isolation.host import HostWatchdog, end_words
 from tests.support.experiments import record
 from tests.support.isolated import NAMES, PROCESSES, RECORD, expected, pair, thetas, wait_until
 from tests.support.misbehaving import Mode, misbehaving_fmu
+from tests.support.quick import first
 
 pytestmark = PROCESSES
 linux = pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells")
@@ -52,7 +53,7 @@ def test_library_name_that_no_file_can_have(folder: Path, tmp_path: Path, isolat
 # --- resources that the system refuses
 
 
-@pytest.mark.parametrize("count", [12, 6000], ids=["threads", "memory"])
+@pytest.mark.parametrize("count", first(1, [12, 6000]), ids=["threads", "memory"])
 def test_process_without_resources_costs_no_simulation(folder: Path, count: int) -> None:
     """An FMU has forbidden it to take more: another thread, more shared memory. The next one can do it all."""
     simulator = Simulator(misbehaving_fmu(folder), RECORD, NAMES, isolation=Isolation(threads=2))

@@ -29,8 +29,10 @@ def simulator(*more: str, observation: Observation = STUDY_AXES) -> fmuid.Simula
 @pytest.mark.parametrize(
     ("errors", "changed", "left"),
     [
-        ({"joint": (0.9, 0.0, 0.3)}, {"phase_resistance": {"a": 0.9, "c": 0.3}}, 0.005),
         ({"dead_time": 2.0}, {"dead_time_voltage": 2.0}, 0.03),
+        pytest.param(
+            {"joint": (0.9, 0.0, 0.3)}, {"phase_resistance": {"a": 0.9, "c": 0.3}}, 0.005, marks=pytest.mark.slow
+        ),
     ],
 )
 def test_the_map_of_a_machine_in_windings(errors: dict[str, Any], changed: dict[str, Any], left: float) -> None:

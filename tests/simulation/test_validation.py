@@ -108,7 +108,7 @@ STEP_FAULTS = r"""
     [
         ("licence", "instantiation", "failed", ["no license found (7)", "check the tool's license"]),
         ("load", "instantiation", "failed", ["out of luck", "SIGABRT"]),
-        ("crash", "simulation", "failed", ["during the simulation", "SIGABRT"]),
+        pytest.param("crash", "simulation", "failed", ["during the simulation", "SIGABRT"], marks=pytest.mark.slow),
         ("nan", "simulation", "failed", ["failed at t = 0.52 s: output 'x' is not finite"]),
         ("warning", "simulation", "ok", ["0 to 1 s: 101 samples, 6 outputs finite"]),
         ("warning", "messages", "warning", ["mind the gap (7)"]),

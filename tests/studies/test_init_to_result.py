@@ -211,6 +211,7 @@ end Swinging;
 """
 
 
+@pytest.mark.slow
 def test_a_weak_parameter_that_acts_like_strong_ones_stays_fixed(tmp_path: Path) -> None:
     """Its effect is less than the curvature of theirs."""
     t = np.arange(1500.0) * 0.01
@@ -241,6 +242,7 @@ end Wall;
 """
 
 
+@pytest.mark.slow
 def test_slow_models_run_by_model_exchange_and_hidden_states_start_unseen(tmp_path: Path) -> None:
     """A record of three years has 5e10 steps of 2 ms."""
     t = np.linspace(0.0, 1e8, 400)

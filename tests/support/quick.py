@@ -1,9 +1,12 @@
-"""Parameters of a test of which only some run with the quick tests."""
+"""Short cuts of the quick tests: some of the parameters of a test, no drawing."""
 
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import pytest
+
+from fmuid.files import replacing
 
 
 def first(count: int, values: Iterable[Any]) -> list[Any]:
@@ -12,3 +15,16 @@ def first(count: int, values: Iterable[Any]) -> list[Any]:
         value if k < count else pytest.param(*(value if isinstance(value, tuple) else (value,)), marks=pytest.mark.slow)
         for k, value in enumerate(values)
     ]
+
+
+def draw_nothing(patch: pytest.MonkeyPatch) -> None:
+    """Have figures be made and written without a layout and drawing, and reports be empty."""
+    patch.setattr("matplotlib.figure.Figure.get_layout_engine", lambda _: None)
+    patch.setattr("matplotlib.backends.backend_agg.FigureCanvasAgg.draw", lambda self: self.get_renderer())
+    patch.setattr("fmuid.reports.publish.write_report", _blank_report)
+
+
+def _blank_report(folder: Path) -> Path:
+    with replacing(folder / "report.html") as draft:
+        draft.write_text("")
+    return folder / "report.html"

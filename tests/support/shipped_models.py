@@ -279,4 +279,7 @@ REFERENCES = {
         "", "qg q dq", "v", {"kp": 150.0, "kv": 230.0, "v_max": 9.0}, (nothing, controller), (3e-4, 3e-4, 0.03), 1e-3
     ),
 }  # fmt: skip
-models = pytest.mark.parametrize("model", REFERENCES)
+LONG = {"InductionMachineBrokenBars", "StatorShortCircuitLeakage", "ThreePhaseInductionMachine"}
+models = pytest.mark.parametrize(
+    "model", [pytest.param(name, marks=pytest.mark.slow if name in LONG else ()) for name in REFERENCES]
+)

@@ -24,9 +24,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, held in {"both": "", "right": "L = 0.1", "wrong": "L = 0.15"}.items():
         study = text.replace(free_l, "") if held else text
         (folder / f"{name}.toml").write_text(study.replace("[model.fixed]", f"[model.fixed]\n{held}"))
-        told = ("--set", 'estimation.model_error="report"')  # a wrong L is not freed
+        told = ("--no-report", "--set", 'estimation.model_error="report"')  # a wrong L is not freed
         assert fmuid_("identify", folder / f"{name}.toml", "-o", folder / name, "--no-isolation", *told) == DONE
-    other = ("--set", "experiments.0.data=second.csv", "-o", folder / "other")
+    other = ("--set", "experiments.0.data=second.csv", "-o", folder / "other", "--no-report")
     assert fmuid_("identify", folder / "both.toml", *other, "--no-isolation") == DONE
     return folder
 

@@ -17,6 +17,7 @@ from experiments.batches.campaign import NOISE, L, R, coil_current
 from fmuid import Study
 from fmuid.apps.cli.options import DONE, NOT_SUCCEEDED, WRONG_INPUT
 from tests.support.coil_study import HASTY, STUDY, coil_table, fmuid_, result
+from tests.support.quick import draw_nothing
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
 
@@ -27,7 +28,12 @@ def identified(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     folder = tmp_path_factory.mktemp("coil")
     coil_table(folder / "first.csv", 0.0, seed=1)
     (folder / "study.toml").write_text(STUDY)
-    with redirect_stdout(StringIO()) as out, redirect_stderr(StringIO()) as error:
+    with (
+        redirect_stdout(StringIO()) as out,
+        redirect_stderr(StringIO()) as error,
+        pytest.MonkeyPatch.context() as patch,
+    ):
+        draw_nothing(patch)
         assert fmuid_("identify", folder / "study.toml", "--output", folder / "deep/out", "--figures", "png") == DONE
     assert error.getvalue() == ""
     return folder, out.getvalue()

@@ -20,6 +20,7 @@ from fmuid.runs.batch.study_package import BatchStudy, changes
 from fmuid.runs.batch.worker import difference, versions
 from tests.support.coil_batches import DRAWS, NOISE, expected, refused, run, same, write
 from tests.support.coil_study import COIL, coil_table, fmuid_
+from tests.support.quick import first
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
 
@@ -38,7 +39,7 @@ def test_rows_do_not_depend_on_groups(folder: Path, here: Any) -> None:
     assert f"<b>{DRAWS} of {DRAWS} cases done</b>" in (again._repr_html_() or "")
 
 
-@pytest.mark.parametrize("isolated", [False, True])
+@pytest.mark.parametrize("isolated", first(1, [False, True]))
 def test_messages_name_the_users_own_model(folder: Path, here: Any, isolated: bool) -> None:
     shutil.copy(COIL, folder / "mine.fmu")
     text = write(folder, "[batch]\nsweep = { L = [0.0, 0.1] }\n").joinpath("study.toml").read_text(encoding="utf-8")
@@ -91,6 +92,7 @@ def command(folder: Path) -> int:
     return fmuid_("batch", folder / "study.toml", "-o", folder / "out", "--no-isolation", "--no-report")
 
 
+@pytest.mark.slow
 def test_an_interruption(folder: Path, here: Any) -> None:
     first = here(3, stop_after=12)
     found = run(folder)

@@ -183,6 +183,7 @@ def test_a_lock_whose_owner_ends_meanwhile(tmp_path: Path, monkeypatch: pytest.M
     assert len(seen) == 3
 
 
+@pytest.mark.slow
 def test_a_killed_writer_leaves_no_lock(tmp_path: Path) -> None:
     code = (
         "import sys; from pathlib import Path; from fmuid.runs.batch.dataset import Dataset\n"

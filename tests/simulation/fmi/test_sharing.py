@@ -91,6 +91,7 @@ def test_the_fmu_of_these_tests_does_not_bear_threads(folder: Path) -> None:
         assert "outside its instances" in str(error)
 
 
+@pytest.mark.slow
 def test_no_instance_is_freed_while_another_lives(folder: Path) -> None:
     fmu = misbehaving_fmu(folder, token="alone in a crowd")
     first, second = (Simulator(fmu, RECORD, NAMES) for _ in range(2))
@@ -166,6 +167,7 @@ def test_each_simulation_has_a_new_process(folder: Path, caplog: pytest.LogCaptu
     assert "keeps data outside its instances; each simulation uses a new process" in record.getMessage()
 
 
+@pytest.mark.slow
 def test_identify_by_new_processes(folder: Path) -> None:
     """The cost never rises over accepted steps, the estimate is that of the FMU without memory, the result says how."""
     found = []
