@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge
 
 from fmuid.array_types import Floats
 from fmuid.data.data_file import numeric_column
@@ -40,8 +38,8 @@ class Response:
     """column of the magnitude in dB, 20 lg"""
     phase: str | None = None
     """column of the phase, degrees"""
-    delay: Annotated[float, Ge(0)] = 0.0
-    """delay of the measured response, s"""
+    delay: float = 0.0
+    """delay of the measured response, s; negative where the denominator is late"""
     conjugate: bool = False
     """the sign of imaginary part or phase is reversed, as in spectra of batteries: −Im"""
 

@@ -50,7 +50,7 @@ def model_directions(
         found_here = (
             _columns(simulator, theta[columns], simulated[index], own, len(problem.experiments), sizes)
             if isinstance(simulator, Simulator)
-            else row_columns(simulator, theta[columns], simulated[index], own)
+            else row_columns(simulator, theta[columns], simulated[index], own, sizes)
         )
         for each in found_here:
             if is_estimated(each.kind, each.subject, simulator.parameters):

@@ -36,6 +36,7 @@ class ErrorKind(Enum):
     CLOCK = "clock"  # outputs come later and later
     INPUT_DELAY = "input_delay"
     INPUT_ADVANCE = "input_advance"
+    RESPONSE_DELAY = "response_delay"  # of a frequency response: its phase falls with the frequency
     INTERPOLATION = "interpolation"  # an input is held where it was taken as linear, or the other way round
     OFFSET = "offset"
     ZERO_DRIFT = "zero_drift"  # an offset that grows linearly in time
@@ -313,5 +314,5 @@ class ModelErrors:
 
     @property
     def covers_dynamics(self) -> bool:
-        """True if inputs, parameters and states were tested, too."""
-        return any(each.direction.kind is ErrorKind.DRIFT for each in self.tests)
+        """True if inputs, parameters and states were tested, too; a response holds both of its channels."""
+        return any(each.direction.kind in (ErrorKind.DRIFT, ErrorKind.RESPONSE_DELAY) for each in self.tests)

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from fmuid.array_types import Floats
-from fmuid.data import DECIBEL, Experiment, FrequencyExperiment
-from fmuid.identification.model_errors import ErrorKind
-from fmuid.simulation import AnySimulator, output_unit
+from fmuid.data import DECIBEL, DEGREE, Experiment, Response
+from fmuid.identification.model_errors import ErrorKind, Sizes
+from fmuid.models import Phasors
+from fmuid.simulation import AnySimulator, FrequencySimulator, output_unit
 
 
 @dataclass(frozen=True)
@@ -48,15 +49,17 @@ class DirectionColumn:
     value: float = math.nan  # of a fixed parameter
 
 
-def row_columns(simulator: AnySimulator, theta: Floats, simulated: Floats, slopes: Floats) -> Iterator[DirectionColumn]:
+def row_columns(
+    simulator: AnySimulator, theta: Floats, simulated: Floats, slopes: Floats, sizes: Sizes
+) -> Iterator[DirectionColumn]:
     """Yield the directions over an experiment without a time: sensors, fixed parameters and saturation.
 
     At rest, a parameter that depends on an output changes each row by the row's own slope.
     """
     experiment = simulator.experiment
     units = {name: output_unit(simulator.system, experiment, name) or "" for name in experiment.output_names}
-    if isinstance(experiment, FrequencyExperiment):
-        yield from _of_responses(experiment, simulated)
+    if isinstance(simulator, FrequencySimulator):
+        yield from _of_responses(simulator, simulated, units, sizes)
         yield from fixed_columns(simulator, theta)
         return
     yield from sensor_columns(experiment, simulated, units)
@@ -67,14 +70,43 @@ def row_columns(simulator: AnySimulator, theta: Floats, simulated: Floats, slope
             yield DirectionColumn(ErrorKind.SATURATION, (name, *names), "", SETTINGS.saturation, table)
 
 
-def _of_responses(experiment: FrequencyExperiment, simulated: Floats) -> Iterator[DirectionColumn]:
-    """Yield the gain of each response."""
-    for name, response in experiment.responses.items():
-        table = np.zeros(simulated.shape)
-        for part in response.columns:
-            j = experiment.output_names.index(f"{name}.{part}")
-            table[:, j] = {"phase": 0.0, "decibel": 1.0 / DECIBEL}.get(part, simulated[:, j])
-        yield DirectionColumn(ErrorKind.GAIN, (name,), "", SETTINGS.share, table)
+def _of_responses(
+    simulator: FrequencySimulator, simulated: Floats, units: Mapping[str, str], sizes: Sizes
+) -> Iterator[DirectionColumn]:
+    """Yield gain, delay and offset of each response, by its relative change; of a delay the secant of its size."""
+    names, angular = simulator.output_names, simulator.angular
+    for name, response in simulator.experiment.responses.items():
+        columns = {part: names.index(f"{name}.{part}") for part in response.columns}
+        values = _complex(response, {part: simulated[:, j] for part, j in columns.items()})
+        one = np.ones(len(values), dtype=np.complex128)
+        found = [(ErrorKind.GAIN, "", SETTINGS.share, one)]
+        if len(columns) == 2:
+            late = one * angular * (1j if response.conjugate else -1j)
+            sample = np.pi / float(angular.max())  # the longest that resolves the highest frequency
+            found.append((ErrorKind.RESPONSE_DELAY, "s", SETTINGS.delay * sample, late))
+        if len(columns) == 2 and response.decibel is None:
+            unit = units[f"{name}.{next(iter(columns))}"]
+            found.append((ErrorKind.OFFSET, unit, SETTINGS.share * rms_of(np.abs(values)), one / values))
+        for kind, unit, usual, change in found:
+            size = sizes.get((kind, (name,)), 0.0) if kind is ErrorKind.RESPONSE_DELAY else 0.0
+            moved = values * (np.expm1(change * size) / size if size else change)
+            by_part = {"real": moved.real, "imaginary": moved.imag, "magnitude": np.abs(values) * change.real}
+            by_part |= {"decibel": change.real / DECIBEL, "phase": change.imag / DEGREE}
+            table = np.zeros(simulated.shape)
+            for part, j in columns.items():
+                table[:, j] = by_part[part]
+            yield DirectionColumn(kind, (name,), unit, usual, table)
+
+
+def _complex(response: Response, parts: Mapping[str, Floats]) -> Phasors:
+    """Return the values (K,) of a response; a missing part is 0, a missing magnitude 1."""
+    none = np.zeros(len(next(iter(parts.values()))))
+    if response.real is not None or response.imaginary is not None:
+        found = parts.get("real", none) + 1j * parts.get("imaginary", none)
+    else:
+        size = parts.get("magnitude", np.exp(DECIBEL * parts.get("decibel", none)))
+        found = size * np.exp(1j * DEGREE * parts.get("phase", none))
+    return np.asarray(found, dtype=np.complex128)
 
 
 def sensor_columns(experiment: Experiment, simulated: Floats, units: Mapping[str, str]) -> Iterator[DirectionColumn]:

@@ -1,6 +1,7 @@
 from .executor_pool import close as close
 from .executor_pool import closing as closing
 from .executor_pool import executor_of as executor_of
+from .frequency_simulator import FrequencySimulator as FrequencySimulator
 from .isolation import start_server as start_server
 from .isolation.host import TIME_LIMITS as TIME_LIMITS
 from .isolation.host import FmuHost as FmuHost

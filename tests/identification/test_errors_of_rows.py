@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 
 import fmuid
+from fmuid import System
 from fmuid.data import FrequencyExperiment, Response, RotatingFrame, SteadyExperiment
-from fmuid.identification import DefectKind, ErrorKind, find_data_defects, find_model_errors
+from fmuid.identification import DefectKind, ErrorKind, find_data_defects, find_model_errors, refit
 from fmuid.identification.outlying_rows import find_outlying_rows
+from fmuid.identification.output_directions import row_columns
+from fmuid.simulation import AnySimulator, simulator_of
 from tests.support.paths import FMUS
 from tests.support.quick import first
 from tests.support.resting import BISTABLE, MACHINE, induction_machine
@@ -50,11 +54,11 @@ def load_points(seed: int, gain: float = 0.0, offset: float = 0.0, saturation: f
     return fmuid.Problem(FMUS / "InductionMachine/InductionMachine.fmu", experiment, free, noise=noise_std)
 
 
-def spectrum(seed: int, gain: float = 0.0) -> list[FrequencyExperiment | SteadyExperiment]:
-    """Return a spectrum with an error of gain, and a table without one."""
+def spectrum(seed: int, gain: float = 0.0, offset: float = 0.0, late: float = 0.0) -> list[fmuid.Experiment]:
+    """Return a spectrum with errors, and a table without one."""
     random, rows = np.random.default_rng(seed), np.logspace(-1, 2, 31)
     noise = 0.002 * (random.normal(size=31) + 1j * random.normal(size=31))
-    values = (4.0 + 0.2j * np.pi * rows) * (1.0 + noise) * (1.0 + gain)
+    values = (4.0 + 0.2j * np.pi * rows) * (1.0 + noise) * (1.0 + gain) * np.exp(-2j * np.pi * rows * late) + offset
     frame = pd.DataFrame({"f": rows, "re": values.real, "im": values.imag})
     response = {"Z": Response("u / i", real="re", imaginary="im")}
     voltages = np.linspace(2.0, 12.0, 9)
@@ -78,10 +82,70 @@ def test_an_error_of_load_points_is_named(error: dict[str, float], kind: ErrorKi
     assert (kind, subject) in first
 
 
-def test_a_gain_of_a_response_is_named() -> None:
-    first, *_ = found_in(fmuid.Problem(COIL.fmu, spectrum(1, 0.02), FREE))
-    assert (ErrorKind.GAIN, ("Z",)) in first
+@pytest.mark.parametrize(
+    ("error", "kind", "size"),
+    [
+        ({"gain": 0.02}, ErrorKind.GAIN, 0.02),
+        ({"late": 1e-4}, ErrorKind.RESPONSE_DELAY, 1e-4),
+        ({"late": -1e-4}, ErrorKind.RESPONSE_DELAY, -1e-4),
+        ({"offset": 0.1}, ErrorKind.OFFSET, 0.1),
+    ],
+)
+def test_an_error_of_a_response_is_named(error: dict[str, float], kind: ErrorKind, size: float) -> None:
+    problem = fmuid.Problem(COIL.fmu, spectrum(1, **error), FREE)
+    result = fmuid.identify(problem)
+    found = find_model_errors(problem, result)
+    assert found is not None
+    test = next(each for each in found.tests if each.direction.key == (kind, ("Z",)))
+    assert (kind, ("Z",)) in found_in(problem)[0]
+    assert abs(test.size - size) < 4.0 * test.std + 0.02 * abs(size)
+
+
+def test_a_delay_of_a_response_is_freed() -> None:
+    problem = fmuid.Problem(COIL.fmu, spectrum(1, late=2e-4)[:1], FREE)
+    result = fmuid.identify(problem)
+    found = find_model_errors(problem, result)
+    assert found is not None
+    assert found.covers_dynamics
+    again = refit(problem, result, found)
+    assert again is not None
+    assert again.found is not None
+    assert [each.kinds for each in again.found.freed] == [{ErrorKind.RESPONSE_DELAY}]
+    assert not again.found.errors
+    assert (abs(again.result.values - [4.0, 0.1, 2e-4]) < 3.5 * again.result.std).all()
+
+
+def test_spectra_without_errors_raise_no_alarm() -> None:
     assert not found_in(fmuid.Problem(COIL.fmu, spectrum(1), FREE))
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        {"real": "re", "imaginary": "im"},
+        {"magnitude": "size", "phase": "angle"},
+        {"decibel": "dB", "phase": "angle", "conjugate": True},
+    ],
+    ids=["complex", "polar", "decibel"],
+)
+def test_directions_of_a_response_are_its_changes(columns: dict[str, Any]) -> None:
+    """Delay and gain by differences of the simulator's own ones; an offset by that of the parts."""
+    rows = np.logspace(-1, 2, 7)
+    table = pd.DataFrame({"f": rows} | dict.fromkeys(("re", "im", "size", "angle", "dB"), np.ones(7)))
+
+    def simulated(late: float) -> tuple[AnySimulator, np.ndarray]:
+        response = {"Z": Response("u / i", delay=late, **columns)}
+        made = simulator_of(System.of(COIL.fmu), FrequencyExperiment(table, frequency="f", responses=response), ["R"])
+        return made, made(np.array([3.0]))
+
+    simulator, values = simulated(0.0)
+    found = {each.kind: each.table for each in row_columns(simulator, np.array([3.0]), values, np.zeros((1, 7, 2)), {})}
+    late = (simulated(1e-6)[1] - simulated(-1e-6)[1]) / 2e-6
+    np.testing.assert_allclose(found[ErrorKind.RESPONSE_DELAY], late, rtol=1e-6, atol=1e-6)
+    assert (ErrorKind.OFFSET in found) == ("decibel" not in columns)
+    more = (simulator(np.array([3.0 + 1e-4])) - simulator(np.array([3.0 - 1e-4]))) / 2e-4  # R adds to Z
+    if "decibel" not in columns:
+        np.testing.assert_allclose(found[ErrorKind.OFFSET], more, rtol=1e-6, atol=1e-7)
 
 
 @pytest.mark.slow

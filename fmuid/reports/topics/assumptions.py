@@ -38,6 +38,7 @@ class ModelErrorMessage(Message, section="hiding"):
     )
     INPUT_DELAY = doubt("{first} late by {size}", "the input acts later than recorded", "Shift the time of {first}.")
     INPUT_ADVANCE = doubt("{first} early by {size}", "the input acts before its record", "Shift the time of {first}.")
+    RESPONSE_DELAY = doubt("{first} late by {size}", "channels not read at one instant", "Set `delay` of {first}.")
     INTERPOLATION = doubt(
         "interpolation of {first} is wrong", "held where linear was assumed, or the reverse", "Change `interpolation`."
     )

@@ -27,7 +27,13 @@ from fmuid.reports.topics.fit import Band, fit_remarks, fit_sections, stretch_re
 from fmuid.reports.topics.optimization import optima_remarks, optima_section, optimization_sections
 from fmuid.reports.topics.preprocessing import preprocessing_sections
 from fmuid.reports.topics.prior_and_data import prior_sections, reading_remarks
-from fmuid.reports.topics.residual_analysis import residual_phrases, residual_remarks, residual_section, widening_words
+from fmuid.reports.topics.residual_analysis import (
+    is_ordered,
+    residual_phrases,
+    residual_remarks,
+    residual_section,
+    widening_words,
+)
 from fmuid.reports.topics.row_charts import bands, contribution_sections
 from fmuid.reports.topics.solver_check import SolverMessage, run_words, sensitivity_words, solver_section
 from fmuid.reports.topics.study_notes import change_line, gap_remark
@@ -132,11 +138,11 @@ def _summary(found: IdentificationRun, said: Sequence[Remark]) -> tuple[tuple[st
     others = [each for each in said[1:] if _is_doubt(each) and each.message.split(".")[0] not in own]
     if found.result.identifiability.non_identifiable:  # which the first line tells
         others = [each for each in others if each.tone != "bad"]
-    factors = widening_words(residuals)
+    factors, noise = widening_words(residuals), "colored" if is_ordered(residuals) else "uneven"
     lines = [
         ("Fit", _fits(found.fits), False),
         ("Residuals", residual_phrases(residuals), any(each.large for each in residuals.findings)),
-        ("Intervals", f"widened {factors} for colored noise" if factors else "", bool(factors)),
+        ("Intervals", f"widened {factors} for {noise} noise" if factors else "", bool(factors)),
         ("Doubts", _short("", others), True),
     ]
     for label, kind in kinds.items():

@@ -96,8 +96,7 @@ def residual_phrases(found: ResidualAnalysis) -> str:
     """Return the defects of the residuals for one line of a terminal."""
     tested = [each for each in found.series if each.is_tested]
     if not tested:
-        ordered = any(each.noise.series.ordered for each in found.series)
-        return "not tested: too short, or rounding only" if ordered else "not tested: rows have no order"
+        return f"not tested: {'too short, or rounding only' if is_ordered(found) else 'rows have no order'}"
     large = [each for each in found.findings if each.large]
 
     def named(trait: ResidualDefect) -> list[ResidualSeries]:
@@ -148,7 +147,7 @@ def _large(found: ResidualAnalysis, finding: ResidualFinding, units: Mapping[str
 
 
 def widening_words(found: ResidualAnalysis) -> str:
-    """Return the factors of σ for colored noise, if they matter."""
+    """Return the factors of σ for colored or uneven noise, if they matter."""
     known = {name: factor for name, factor in found.widening.items() if math.isfinite(factor)}
     if not any(not 1.0 / LEAST_STD_FACTOR < factor < LEAST_STD_FACTOR for factor in known.values()):
         return ""
@@ -158,10 +157,16 @@ def widening_words(found: ResidualAnalysis) -> str:
     return f"{two_digits(known[high])} ×"
 
 
+def is_ordered(found: ResidualAnalysis) -> bool:
+    """Return True if rows of an experiment have an order; else their noise has no color."""
+    return any(each.noise.series.ordered for each in found.series)
+
+
 def _widening(found: ResidualAnalysis, *, colored: bool) -> list[Remark]:
     if factors := widening_words(found):
         sure = any(each.trait is ResidualDefect.COLORED for each in found.findings)
         reason = "of colored noise" if sure else "the noise may be colored"
+        reason = reason if is_ordered(found) else "of uneven noise"
         return [ResidualMessage.WIDENED.said(factors=factors, reason=reason)]
     known = any(map(math.isfinite, found.widening.values()))
     return [ResidualMessage.NOT_WIDENED.said()] if colored and known else []

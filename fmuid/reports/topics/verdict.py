@@ -100,7 +100,7 @@ class VerdictMessage(Message):
     ACQUISITION_DELAY = (
         "σ of {first} includes a delay within ±½ sample (× {widening:.2g})",
         "channels need not be read at one instant; this delay dominates σ",
-        "Set `noise.delay_std = 0` if they are.",
+        "Set `noise.delay_std = 0` if inputs and outputs are simultaneous.",
     )
 
 
