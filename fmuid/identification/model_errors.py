@@ -88,6 +88,19 @@ OUTPUT_DELAYS = frozenset({ErrorKind.DELAY, ErrorKind.ADVANCE, ErrorKind.LAG, Er
 """Errors in the time of an output, or of all."""
 DELAYS = (OUTPUT_DELAYS | {ErrorKind.INPUT_DELAY, ErrorKind.INPUT_ADVANCE}) - {ErrorKind.CLOCK}
 
+SENSOR_ERRORS = frozenset(
+    {
+        *OUTPUT_DELAYS,
+        ErrorKind.RESPONSE_DELAY,
+        ErrorKind.OFFSET,
+        ErrorKind.ZERO_DRIFT,
+        ErrorKind.GAIN,
+        ErrorKind.NONLINEARITY,
+        ErrorKind.HYSTERESIS,
+    }
+)
+"""Errors behind the machine, whose own outputs are without them."""
+
 
 UNSURE = frozenset({ErrorKind.ADVANCE, ErrorKind.INPUT_ADVANCE, ErrorKind.CLOCK})
 """Errors of several causes: a path that the model lacks, or a wrong clock; lost samples are no slow clock."""

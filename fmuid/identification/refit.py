@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmuid.array_types import Floats
+from fmuid.array_types import Flags, Floats
 from fmuid.blas import single_threaded
 from fmuid.data import Parameter
 from fmuid.estimation import Estimates, Evaluator, FunctionPredictions, LeastSquares, Marquardt, Result, SolverCheck
@@ -24,6 +24,7 @@ from fmuid.identification.data_defects import DataDefect
 from fmuid.identification.directed_tests import find_model_errors, whitened
 from fmuid.identification.model_errors import (
     DELAYS,
+    SENSOR_ERRORS,
     DirectedTest,
     Direction,
     ErrorKind,
@@ -87,8 +88,11 @@ class CorrectedPredictor:
         """Simulate thetas (k, N_i + m); the last m numbers are sizes."""
         given, count = np.asarray(thetas, dtype=np.float64), self._directions.shape[2]
         found = self._predictor.many(np.ascontiguousarray(given[:, :-count]))
-        added = np.einsum("kjm,tm->tkj", self._directions, given[:, -count:] - self._simulated)
-        return FunctionPredictions(found.outputs + added, tuple(found.errors))
+        return FunctionPredictions(found.outputs + self.added(given[:, -count:]), tuple(found.errors))
+
+    def added(self, sizes: Floats, counted: Flags | bool = True) -> Floats:
+        """Return what sizes (k, m) that are `counted` add, (k, K, n_outputs)."""
+        return np.asarray(np.einsum("kjm,tm->tkj", self._directions, counted * (sizes - self._simulated)))
 
 
 class CorrectedProblem(LeastSquares):
@@ -103,6 +107,7 @@ class CorrectedProblem(LeastSquares):
             CorrectedPredictor(each, np.nan_to_num(np.stack([tables[i] for tables in columns], axis=2)), simulated)
             for i, each in enumerate(base.predictors)
         ]
+        vars(self)["corrections"] = predictors
         given = {**base.given_parameters, **sizes}
         super().__init__(predictors, base.experiments, given, noise=base.noise, joint_prior=base.joint_prior)
 
@@ -110,8 +115,17 @@ class CorrectedProblem(LeastSquares):
         """Return the directions that are not freed."""
         base: LeastSquares = vars(self)["base"]
         taken = {each.key for each in vars(self)["freed"]}
-        found = base.directions(without_sizes(result, len(base.parameters)), sizes)
+        found = base.directions(self.of_model(result), sizes)
         return tuple(each for each in found if each.key not in taken)
+
+    def of_model(self, result: Result) -> Result:
+        """Return a result with outputs free of errors of sensors."""
+        count, sizes = len(vars(self)["base"].parameters), result.values[None]
+        own, sensed = without_sizes(result, count), np.array([e.kind in SENSOR_ERRORS for e in vars(self)["freed"]])
+        corrections: list[CorrectedPredictor] = vars(self)["corrections"]
+        parts = zip(own.fit.simulated, corrections, strict=True)
+        simulated = tuple(each - by.added(sizes[:, count:], sensed)[0] for each, by in parts)
+        return replace(own, fit=replace(own.fit, simulated=simulated))
 
     def process_noise(self, result: Result) -> ProcessNoise | None:
         """Return the process noise beside the errors freed."""
@@ -290,7 +304,7 @@ def _fit(
         if not again.converged or not np.isfinite(again.std).all():
             return None
         moved = float(np.max(np.abs(again.values - start) / again.std))
-        start, now = again.values, without_sizes(again, count)
+        start, now = again.values, corrected.of_model(again)
         if moved < SETTINGS.settled:
             break
         base, simulated = _simulating(problem, errors, start[count:])

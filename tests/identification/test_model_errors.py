@@ -360,6 +360,20 @@ def test_two_errors_are_freed_one_after_the_other() -> None:
     assert (np.abs(again.result.values[:2] - [R, L]) < 3.0 * again.result.std[:2]).all()
 
 
+def test_the_size_of_a_large_gain_is_that_of_the_sensor() -> None:
+    """A direction is taken at the model's outputs, not at those with the error."""
+    rng = np.random.default_rng(0)
+    u = held_voltage(rng)
+    experiment = problem_of(u, 1.15 * closed(u, 0.0) + 0.01 * rng.standard_normal(COUNT)).experiments[0]
+    problem = Problem(COIL, experiment, {"L": fmuid.Parameter(2.0 * L, min=0.01)}, values={"R": R})
+    result = fmuid.identify(problem)
+    again = refit(problem, result, found) if (found := find_model_errors(problem, result)) else None
+    assert again is not None and again.found is not None
+    (freed,) = again.found.freed
+    assert freed.test.direction.kind is ErrorKind.GAIN
+    assert abs(freed.test.size - 0.15) < 4.0 * freed.test.std < 0.01
+
+
 def test_alternatives_widen_intervals() -> None:
     problem, result = identified("dead time")
     again = refit(problem.as_in(result), result, found_in("dead time"))

@@ -147,7 +147,7 @@ def _large(found: ResidualAnalysis, finding: ResidualFinding, units: Mapping[str
 
 
 def widening_words(found: ResidualAnalysis) -> str:
-    """Return the factors of σ for colored or uneven noise, if they matter."""
+    """Return the factors of σ by the noise, if they matter."""
     known = {name: factor for name, factor in found.widening.items() if math.isfinite(factor)}
     if not any(not 1.0 / LEAST_STD_FACTOR < factor < LEAST_STD_FACTOR for factor in known.values()):
         return ""
