@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 from scipy.signal import lfilter
 
+from experiments.coverage.colored_noise import LEVEL, count
 from fmuid import Experiment
 from fmuid.array_types import Floats
 from fmuid.estimation import Autoregression, NoiseModel, OutputSeries, ResidualNoise, Rows, output_series, sandwich
@@ -274,3 +275,26 @@ def test_models_are_shared_by_short_experiments_of_one_step() -> None:
     pools = [each.pool for each in output_series(experiments, ("y0",))]
     assert pools[0] == pools[1]
     assert len(set(pools)) == 4
+
+
+CHECKED = {
+    "AR(1) 0.8": 200,
+    "AR(1) 0.5, a third missing": 200,
+    "AR(1) 0.5": 40,
+    "truth on a bound": 200,
+    "white and slow": 1500,
+    "white": 200,
+}
+MANY = [pytest.param(case, 200, marks=pytest.mark.campaign) for case in CHECKED]
+FEW = [pytest.param(case, 50, marks=pytest.mark.slow) for case in ("AR(1) 0.5", "white")]
+
+
+@pytest.mark.parametrize(("case", "draws"), FEW + MANY)
+def test_intervals_and_tests_hold_under_colored_noise(case: str, draws: int) -> None:
+    """By four standard errors of the draws."""
+    found = count(case, CHECKED[case], draws, 25)
+    assert found.local / draws > LEVEL - 4.0 * math.sqrt(LEVEL * (1.0 - LEVEL) / draws)
+    assert found.plain / draws < 0.85 or case == "white"
+    assert np.median(found.wider) < 1.05 or case != "white"
+    assert min(found.profile, found.posterior) / found.more > 0.7
+    assert max(found.ratio, found.wald) / draws < 0.06

@@ -1,16 +1,19 @@
-"""Cases of a batch: what they are, that they depend on nothing but themselves, and what their rows say."""
+"""Cases of a batch: what they are, that they depend on nothing but themselves; directed tests of cases."""
 
 import itertools
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.stats import qmc
 
 from fmuid import InputError
 from fmuid.runs import CaseList
 from tests.support.coil_cases import STD, record, study_of
+from tests.support.coil_study import STUDY, coil_table, fmuid_
 
 # --- what the cases are
 
@@ -118,3 +121,21 @@ def test_records_are_called_as_shortly_as_they_can_be_told_apart(case_folder: Pa
     assert names("more/run1.*") == ["more/run1.csv", "more/run1.parquet"]
     given = study_of(case_folder, {"data": {"first": "records/run2.csv"}})
     assert [case.settings for case in CaseList.of(given)] == [{"table": "first"}]
+
+
+SWEEP = "fixed = { L = 0.1 }\n[[experiments]]".join(STUDY.split("[[experiments]]")).partition("L = { start")[0]
+BATCH = "[batch]\nsweep = { L = [0.13, 0.1] }\n"
+
+
+@pytest.mark.parametrize("asked", [pytest.param(False, marks=pytest.mark.slow), True])
+def test_model_errors_of_cases(tmp_path: Path, capsys: pytest.CaptureFixture[str], here: Any, asked: bool) -> None:
+    coil_table(tmp_path / "first.csv", 0.0, seed=1)
+    study = tmp_path / "study.toml"
+    study.write_text(SWEEP + '[estimation]\nmodel_error = "report"\n' * asked + BATCH)
+    here()
+    fmuid_("batch", study, "--output", tmp_path / "out", "--no-report")
+    rows = pd.concat(map(pd.read_parquet, (tmp_path / "out/cases").glob("*.parquet"))).sort_values("set.L")
+    assert rows["reasons"].str.contains("model_error").tolist() == [False, asked]
+    said = capsys.readouterr().out
+    assert ("were not tested in the cases" in said) is not asked
+    assert ("50 %" in said) is asked

@@ -263,7 +263,7 @@ def test_messages_are_formatted_and_bounded() -> None:
 
 
 TESTS = [
-    *(f"simulation/fmi/test_{name}" for name in ("native", "integrators", "integrator_events", "model_exchange")),
+    *(f"simulation/fmi/test_{name}" for name in ("native", "integrators", "model_exchange")),
     *("simulation/fmi/test_float_environment", "simulation/test_sensitivities", "simulation/test_simulator"),
     *("models/test_system", "models/test_loops"),
 ]
