@@ -13,10 +13,9 @@ import pytest
 from scipy.signal import lfilter
 
 import fmuid
-from fmuid import Document, Experiment, InputError, Noise, Normal, Parameter, Problem, Simulator, identify
+from fmuid import Document, Experiment, InputError, Noise, Parameter, Problem, Simulator, identify
 from fmuid.array_types import Floats
 from fmuid.data import Preprocessing
-from fmuid.estimation import LeastSquares
 from fmuid.simulation.instance import _missing_library
 from tests.support.coil_study import COIL
 from tests.support.docs_rows import rows
@@ -28,9 +27,6 @@ STEP, N = 0.01, 200
 TRUTH = {"R": 4.0, "L": 0.1}
 FREE = {"R": Parameter(3.0, min=0.0), "L": Parameter(0.2, min=1e-3)}
 WITH_STATE = {"L": FREE["L"], "i_start": Parameter(0.0, nominal=1.0)}
-TIMES = np.linspace(0.0, 2.0, 80)
-WAVE = np.sin(9.0 * TIMES) + 0.05 * np.random.default_rng(6).standard_normal(TIMES.size)
-EVERYWHERE = fmuid.GlobalSearch("multi-start", starts=12, seed=1)
 NOISE = 0.006  # above the root mean square of the noise of `recorded`
 
 
@@ -141,48 +137,3 @@ def _(_: Path) -> None:
     simulator = Simulator(COIL, Experiment(recorded(), [], ["i"]))
     assert simulator.unfed_inputs == ("u",)  # `fmuid simulate` says it
     np.testing.assert_array_equal(simulator([]), 0.0)
-
-
-def wave(start: float, low: float = 0.1, high: float = 40.0) -> LeastSquares:
-    """Return the problem of a frequency, which has many optima."""
-    free = {"w": Parameter(start, min=low, max=high)}
-    return LeastSquares.from_function(lambda theta: np.sin(theta[0] * TIMES), WAVE, free)
-
-
-@row("it converges to impossible values")
-def _(_: Path) -> None:
-    assert abs(identify(wave(20.0))["w"] - 9.0) > 3.0
-    assert identify(wave(11.0, 6.0, 12.0))["w"] == pytest.approx(9.0, abs=0.05)
-
-
-@row("another initial guess gives other values")
-def _(_: Path) -> None:
-    assert abs(identify(wave(20.0))["w"] - identify(wave(8.0))["w"]) > 3.0
-    optima = identify(wave(20.0), EVERYWHERE).history.optima
-    assert len(optima) > 1
-    assert optima[0].theta[0] == pytest.approx(9.0, abs=0.05)
-
-
-@row("parameters are not identifiable")
-def _(_: Path) -> None:
-    measured = np.exp(-2.0 * TIMES) + 0.01 * np.random.default_rng(3).standard_normal(TIMES.size)
-
-    def found(prior: Normal | None = None, held: bool = False) -> fmuid.Result:
-        """Return what a decay tells of two rates that add."""
-        free = {"a": Parameter(1.5, prior=prior)} | ({} if held else {"b": Parameter(0.4)})
-        return identify(
-            LeastSquares.from_function(lambda x: np.exp(-(x[0] + (1.0 if held else x[1])) * TIMES), measured, free)
-        )
-
-    assert re.search(r"a and b .*a \+ b", str(Document.of(found())))
-    assert np.isinf(found().std).all()
-    assert (found(Normal(1.0, 0.05)).std < 0.1).all()
-    assert found(held=True)["a"] == pytest.approx(1.0, abs=0.05)
-
-
-@row("intervals of another program")
-def _(_: Path) -> None:
-    slow = lfilter([0.02], [1.0, -0.9], np.random.default_rng(2).standard_normal(N + 50))[50:]
-    table = recorded(noise=0.0)
-    frame = identify(Problem(COIL, experiment(table.assign(i=table["i"] + slow)), FREE)).to_frame()
-    assert (frame["std"] > 1.5 * frame["std_white_noise"]).all()

@@ -13,7 +13,6 @@ from types import ModuleType
 import pytest
 
 import fmuid
-from tests.support.coil_study import STUDY, coil_table
 from tests.support.house import PACKAGE, face, imported, modules, tree, uses
 
 # Packages in a package that others import from module by module: there is no use for one face of all figures.
@@ -134,7 +133,10 @@ SIMULATE = (
     "import fmuid, fmuid.simulation.executor; "
     "fmuid.Simulator, fmuid.Experiment, fmuid.simulation.executor_of, fmuid.simulation.executor"
 )
-IDENTIFY = "from fmuid.apps.cli.app import run; run(['identify', 'study.toml', '--no-isolation', '--no-report'])"
+STUDY = (PACKAGE.parent / "experiments/induction_machine/study.toml").as_posix()
+IDENTIFY = (
+    f"from fmuid.apps.cli.app import run; run(['identify', '{STUDY}', '-o', '.', '--no-isolation', '--no-report'])"
+)
 OTHERS = {
     *("fmuid.reports.topics.monitoring", "fmuid.diagnosis.monitor", "pint", "emcee", "bokeh"),
     *("scipy.optimize", "scipy.signal", "scipy.stats"),
@@ -156,8 +158,6 @@ OTHERS = {
 )
 def test_imports_are_only_the_needed_ones(code: str, needed: set[str], unneeded: set[str], tmp_path: Path) -> None:
     """Of a command, of a simulation, of an identification, which makes its own document alone."""
-    coil_table(tmp_path / "first.csv", 0.0, seed=1)
-    (tmp_path / "study.toml").write_text(STUDY)
     command = [sys.executable, "-c", f"import sys; {code}; print(*sys.modules)"]
     said = subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path).stdout
     loaded = set(said.splitlines()[-1].split())

@@ -18,11 +18,15 @@ TEXTS = instrument_texts.texts(FRAME, DATES)
 WITHOUT_TIMES = {"LabVIEW without times", "Yokogawa"}
 """Texts in which nothing shows a row that is gone."""
 FACTORS = {"rpm": np.pi / 30, "mA": 1e-3}
-COUNTS = [1, pytest.param(20, marks=pytest.mark.slow)]
+LONG = {
+    *("ANSYS", "catman", "DEWESoft", "Graphtec", "Hioki", "INCA", "Keysight 34970A", "Rohde & Schwarz", "Yokogawa WT"),
+    *("days of spreadsheets", "one block below another", "percent in cells", "rows are columns"),
+}
+COUNTS = [2, pytest.param(20, marks=pytest.mark.slow)]
 
 
 @pytest.mark.parametrize("count", COUNTS)
-@pytest.mark.parametrize("name", TEXTS)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.slow if name in LONG else ()) for name in TEXTS])
 def test_spoilt_texts(tmp_path: Path, name: str, count: int) -> None:
     file, text = TEXTS[name]
     path, ended = tmp_path / file, {"read": 0, "refused": 0}

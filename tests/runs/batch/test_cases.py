@@ -3,7 +3,6 @@
 import itertools
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -128,12 +127,12 @@ BATCH = "[batch]\nsweep = { L = [0.13, 0.1] }\n"
 
 
 @pytest.mark.parametrize("asked", [pytest.param(False, marks=pytest.mark.slow), True])
-def test_model_errors_of_cases(tmp_path: Path, capsys: pytest.CaptureFixture[str], here: Any, asked: bool) -> None:
+def test_model_errors_of_cases(tmp_path: Path, capsys: pytest.CaptureFixture[str], asked: bool) -> None:
+    """In a worker of its own."""
     coil_table(tmp_path / "first.csv", 0.0, seed=1)
     study = tmp_path / "study.toml"
     study.write_text(SWEEP + '[estimation]\nmodel_error = "report"\n' * asked + BATCH)
-    here()
-    fmuid_("batch", study, "--output", tmp_path / "out", "--no-report")
+    fmuid_("batch", study, "--output", tmp_path / "out", "--no-report", "--workers", "1")
     rows = pd.concat(map(pd.read_parquet, (tmp_path / "out/cases").glob("*.parquet"))).sort_values("set.L")
     assert rows["reasons"].str.contains("model_error").tolist() == [False, asked]
     said = capsys.readouterr().out
