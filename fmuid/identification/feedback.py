@@ -1,8 +1,8 @@
 """Test for feedback: inputs that follow the noise of outputs (docs/method/directed-tests.md).
 
 An input is predicted from its own past and that of the other inputs. In open loop, innovations of the residual predict
-it no better (Caines and Chan, IEEE Trans. Autom. Control 20, 1975). Large model errors do where they tell the time
-since the last step of an input: they are freed first.
+it no better (Caines and Chan, IEEE Trans. Autom. Control 20, 1975). Large model errors tell the time since the last
+step of an input, and so the next of regular steps: they are freed first, and only samples where the input moves count.
 """
 
 from __future__ import annotations
@@ -51,19 +51,22 @@ def _tests(experiment: Experiment, residual: Floats) -> Iterator[Feedback]:
     """Yield the test of each input; a held input may follow the residual of the same sample."""
     values, lags = experiment.input_values, SETTINGS.inputs
     moving = np.flatnonzero(np.ptp(values, axis=0) > 0.0).tolist()
-    count = len(values) - lags
-    if count < SETTINGS.rows * (1 + lags * len(moving) + (SETTINGS.residuals + 1) * residual.shape[1]):
+    least = SETTINGS.rows * (1 + lags * len(moving) + (SETTINGS.residuals + 1) * residual.shape[1])
+    if len(values) - lags < least:
         return
     inputs = values[:, moving] - values[:, moving].mean(axis=0)
     inputs /= np.abs(inputs).max(axis=0)
-    own = np.hstack([np.ones((count, 1)), *(inputs[lags - k : -k] for k in range(1, lags + 1))])
-    basis = np.linalg.qr(own)[0]
+    own = np.hstack([np.ones((len(values) - lags, 1)), *(inputs[lags - k : -k] for k in range(1, lags + 1))])
     for column, j in enumerate(moving):
+        moves = np.diff(inputs[lags - 1 :, column]) != 0.0
+        if (count := int(moves.sum())) < least:
+            continue
         first = 0 if experiment.held[j] else 1
         past = [residual[lags - k : len(values) - k] for k in range(first, SETTINGS.residuals + 1)]
-        rows = np.column_stack([inputs[lags:, column], *past])
+        rows, basis = np.column_stack([inputs[lags:, column], *past])[moves], np.linalg.qr(own[moves])[0]
+        scale = float(np.sum(rows[:, 0] ** 2))
         rows -= basis @ (basis.T @ rows)
-        left, scale = rows[:, 0], float(np.sum(inputs[lags:, column] ** 2))
+        left = rows[:, 0]
         if left @ left <= SETTINGS.predictable * scale:
             continue
         explained = float(np.sum((np.linalg.qr(rows[:, 1:])[0].T @ left) ** 2))

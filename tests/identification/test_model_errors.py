@@ -308,6 +308,16 @@ def test_inputs_that_follow_the_residual_are_a_doubt(gain: float) -> None:
     assert verdict.reasons == ((Reason.FEEDBACK,) if gain else ())
 
 
+def test_regular_steps_follow_no_residual() -> None:
+    """The residual of a wrong model tells the time since the last step."""
+    rng = np.random.default_rng(37)
+    u = np.repeat(rng.choice([-12.0, 0.0, 12.0], COUNT // 60 + 1), 60)[:COUNT]
+    slow = np.zeros(COUNT)
+    for k in range(1, COUNT):
+        slow[k] = 0.95 * slow[k - 1] + 0.05 * u[k]
+    assert find_feedback(problem_of(u, closed(u)), slow + 0.1 * rng.standard_normal(COUNT)) is None
+
+
 def test_feedback_is_an_f_test_of_two_regressions() -> None:
     rng = np.random.default_rng(36)
     u, e = rng.standard_normal((2, 300))

@@ -40,7 +40,8 @@ class SurveySettings:
     max_free: int = 12
     max_examined: int = 200
     times_as_long: float = 10.0  # of Co-Simulation over Model Exchange, for the latter ...
-    longest: float = 1.0  # s: ... and of a simulation at all
+    longest: float = 1.0  # s: ... of a simulation with the start of its process, ...
+    noticed: float = 0.1  # s: ... and of one without
 
 
 SETTINGS = SurveySettings()
@@ -127,12 +128,20 @@ def survey(fmu: Path, experiments: Sequence[Experiment]) -> Survey:
 def _lags(system: System, fmu: Path, experiments: Sequence[Experiment]) -> bool:
     """Return whether Co-Simulation fails, or takes too long beside a system."""
     for experiment in [each for each in experiments if each.kind == "time"][:1]:
-        begun = time.perf_counter()
-        Simulator(system, experiment)(())
-        limit = max(SETTINGS.times_as_long * (time.perf_counter() - begun), SETTINGS.longest)
-        with closing(System(fmu, numerics=Numerics("co-simulation"), isolation=Isolation(time_limit=limit))) as slow:
-            return Simulator(slow, experiment).many(np.empty((1, 0))).errors[0] is not None
+        longest = SETTINGS.times_as_long * _duration(Simulator(system, experiment))
+        isolation = Isolation(time_limit=max(longest, SETTINGS.longest))
+        with closing(System(fmu, numerics=Numerics("co-simulation"), isolation=isolation)) as slow:
+            found = Simulator(slow, experiment)
+            failed = found.many(np.empty((1, 0))).errors[0] is not None
+            return failed or _duration(found) > max(longest, SETTINGS.noticed)  # the first one starts a process
     return False
+
+
+def _duration(simulator: Simulator) -> float:
+    """Return the time of a simulation, s."""
+    begun = time.perf_counter()
+    simulator.many(np.empty((1, 0)))
+    return time.perf_counter() - begun
 
 
 def _surveyed(system: System, description: Description, experiments: Sequence[Experiment]) -> Survey:
