@@ -93,7 +93,7 @@ def test_timeline(windows: pd.DataFrame) -> None:
         ("fault", 1, BaselineSource.RECORDS, "FAULT: turns, dR = 0.300 ± 0.050 Ohm (p = 1e-09)."),
         ("ambiguous", 2, BaselineSource.RECORDS, "CHANGE, indistinguishable: turns, dR = 0.300 ± 0.050 Ohm or gain"),
         ("unexplained", 0, BaselineSource.RESULT, "UNEXPLAINED CHANGE: residual variance is 1.9 ×"),
-        ("unexplained", 0, BaselineSource.RECORDS, "UNEXPLAINED CHANGE: residual differs"),
+        ("unexplained", 1, BaselineSource.RECORDS, "UNEXPLAINED CHANGE, closest: turns"),
         ("undecided", 0, BaselineSource.RECORDS, "UNDECIDED: turns.dR indistinguishable"),
         ("healthy", 0, BaselineSource.RECORDS, "HEALTHY at 1 % false-alarm rate (p = 1e-09); most likely: turns"),
     ],

@@ -199,7 +199,9 @@ CHECKS = {
 
 
 def check_first(found: Diagnosis) -> list[Remark]:
-    """Return what to check first: the causes of the verdict."""
+    """Return what to check first: the causes of the verdict; an unexplained change has none."""
+    if found.kind == "unexplained":
+        return []
     each = [change for one in found.evidence.explanations for change in one.changes]
     said = [f"the part with fault {e.fault}" if e.fault else CHECKS[e.kind.value].format(e.variable) for e in each]
     return [DiagnosisMessage.CHECK.said(what="; ".join(dict.fromkeys(said)))] if said else []
