@@ -29,7 +29,7 @@ from fmuid.models import (
     with_starts,
     write_ssv,
 )
-from fmuid.runs.folder import corrected_values
+from fmuid.runs.folder import read_model_errors
 
 ESTIMATES_FILE = "parameters.ssv"
 
@@ -124,7 +124,8 @@ def _read(
     result = Result.from_json(path)
     every = zip(result.names, map(_Estimate, result.values.tolist(), result.std.tolist()), strict=True)
     estimates = {name: each for name, each in every if not is_quantity(name)}  # sensors are no part of the FMU
-    estimates |= {name: _Estimate(value) for name, value in corrected_values(path).items() if name not in estimates}
+    corrected = read_model_errors(path).corrected
+    estimates |= {name: _Estimate(value) for name, value in corrected.items() if name not in estimates}
     found = _of_component(path, estimates, component, tuple(result.setup.models))
     used = result.setup.models.get(component or "")
     identified = model if used is None else used["name"]

@@ -13,7 +13,7 @@ import pandas as pd
 from fmuid.codec import Layout
 from fmuid.display_mixins import PlotMixin
 from fmuid.estimation import Result, TerminationReason, Verdict, optima_table
-from fmuid.identification import Assessment, ResidualStretch, residual_stretch
+from fmuid.identification import Assessment, ModelError, ResidualStretch, residual_stretch
 from fmuid.runs.study_changes import StudyChange
 from fmuid.simulation import OutputFit
 
@@ -252,6 +252,7 @@ class PredictionRun:
     notes: tuple[SourceWarning, ...] = ()  # warnings on the result; not kept in a file
     seen: tuple[str, ...] = ()  # records that the result was made from
     corrected: Mapping[str, float] = field(default_factory=dict)  # fixed values, as the result has corrected them
+    freed: tuple[ModelError, ...] = ()  # other freed errors of the result, which predictions do not have
     origin: Provenance | None = None
     files: tuple[Path, ...] = ()  # written files
 

@@ -84,10 +84,10 @@ def write_identification(folder: Path, found: IdentificationRun) -> list[Path]:
     return written
 
 
-def corrected_values(path: Path) -> dict[str, float]:
-    """Return the fixed values that a ``result.json`` corrected (`ModelErrors.corrected`)."""
+def read_model_errors(path: Path) -> ModelErrors:
+    """Return the directed tests of a ``result.json``, empty without."""
     errors = codec.content_of(path, RESULT_SCHEMA, AGAIN).get("assessment", {}).get("model_errors")
-    return codec.decoded(path, errors, ModelErrors, AGAIN, "assessment.model_errors").corrected if errors else {}
+    return codec.decoded(path, errors, ModelErrors, AGAIN, "assessment.model_errors") if errors else ModelErrors((), ())
 
 
 def read_fits(folder: Path) -> tuple[OutputFit, ...]:

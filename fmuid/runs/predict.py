@@ -17,6 +17,7 @@ from fmuid.events import Progress
 from fmuid.formatting import nearest
 from fmuid.identification import (
     CONFIDENCE_LEVEL,
+    ErrorKind,
     IncomparableError,
     ModelCandidate,
     ModelReference,
@@ -29,7 +30,7 @@ from fmuid.identification import (
 )
 from fmuid.models import FMU, System
 from fmuid.runs.findings import CommonTables, ComparedEstimate, ComparisonRun, Fold, IdentificationRun, PredictionRun
-from fmuid.runs.folder import AGAIN, RESULT_FILE, corrected_values
+from fmuid.runs.folder import AGAIN, RESULT_FILE, read_model_errors
 from fmuid.runs.provenance import digests, made_from, made_now, result_path, study_of
 from fmuid.simulation import OutputFit, Value, finer_simulator, fit_of, simulator_of
 from fmuid.studies import PriorSource, SourceWarning, Study
@@ -212,7 +213,8 @@ def predicted_by(
     path = result_path(Path(result))
     estimates = Result.from_json(path)
     study = study or study_of(path, in_place=Path(tables[0]))
-    corrected = corrected_values(path)
+    errors = read_model_errors(path)
+    corrected, freed = errors.corrected, [each for each in errors.freed if not each.kinds <= {ErrorKind.FIXED}]
     if corrected:
         study = replace(study, model=replace(study.model, values={**study.model.values, **corrected}))
     notes = tuple(notes_of(study, path, estimates))
@@ -221,7 +223,7 @@ def predicted_by(
     seen = tuple(each.name for each in records if estimates.made_from(each))
     predictions = tuple(predict_with(study, estimates, each, free=free, level=level) for each in records)
     origin = made_from(study, [path, *record_files(paths)])
-    return PredictionRun(predictions, (), notes, seen, corrected, origin)
+    return PredictionRun(predictions, (), notes, seen, corrected, tuple(freed), origin)
 
 
 def cross_predicted(

@@ -21,6 +21,7 @@ from fmuid.reports.document import (
     plain,
     table_of_rows,
 )
+from fmuid.reports.topics.assumptions import error_names, size_text
 from fmuid.reports.topics.fit import CONSTANT, Band, fit_sections
 from fmuid.reports.topics.residual_analysis import residual_remarks, residual_section
 from fmuid.reports.topics.study_notes import source_remark
@@ -43,6 +44,11 @@ class PredictionMessage(Message, section="prediction"):
         "Fixed values as the result corrected them: {values}.",
         "estimates hold with these",
         "Free them in the study, or on each record with --refit.",
+    )
+    FREED = doubt(
+        "Freed errors are not in predictions: {errors}.",
+        "the result was estimated beside them",
+        "Correct them in the data, or model them, and identify again.",
     )
     OPEN = plain("{record}: {output} predicted ({size}); its expected RMSE is unknown.")
     AS_EXPECTED = plain("{record}: {output} predicted as expected ({size}).")
@@ -75,6 +81,9 @@ def prediction_document(found: PredictionRun) -> Document:
     said += [PredictionMessage.SEEN.said("", names=listed(found.seen))] if seen else []
     values = ", ".join(f"{name} = {value:.6g}" for name, value in found.corrected.items())
     said += [PredictionMessage.CORRECTED.said("", values=values)] if values else []
+    tests = [each.test for each in found.freed]
+    freed = [f"{error_names(each.direction)} {size_text(each.direction, each.size, each.std)}" for each in tests]
+    said += [PredictionMessage.FREED.said("", errors=listed(freed))] if freed else []
     said += [each for prediction in predictions for each in prediction_remarks(prediction)]
     said += [fold_remark(predictions)] if found.folds else []
     sections = (

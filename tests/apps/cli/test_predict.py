@@ -47,6 +47,21 @@ def test_predictions_hold_the_fixed_values_that_a_result_corrected(
     assert start == pytest.approx(content["corrected"]["L"])
 
 
+def test_predictions_say_which_freed_errors_they_lack(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for k, name in enumerate(("first", "second")):
+        coil_table(tmp_path / f"{name}.csv", 0.0, seed=k)
+        table = pd.read_csv(tmp_path / f"{name}.csv")
+        table.assign(i=table["i"] + 0.02).to_csv(tmp_path / f"{name}.csv", index=False)
+    (tmp_path / "study.toml").write_text(STUDY)
+    assert fmuid_("identify", tmp_path / "study.toml", "--no-isolation", "--no-report") == DONE
+    words = ("-o", tmp_path / "found", "--no-isolation", "--no-report")
+    assert fmuid_("predict", tmp_path / "results", tmp_path / "second.csv", *words) == DONE
+    content = json.loads((tmp_path / "found/prediction.json").read_text())
+    (freed,) = content["freed"]
+    assert freed["test"]["direction"]["kind"] == "offset"
+    assert "Freed errors are not in predictions: offset of i 0.0" in capsys.readouterr().out
+
+
 def test_records_are_predicted(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     tables = (made / "second.csv", made / "third.csv")
     words = ("--refit", "i_start", "-o", tmp_path, "--no-isolation")
