@@ -32,6 +32,8 @@ _DAY_NUMBERS = (36_526.0, 73_051.0)
 """Days of spreadsheets (from 1899-12-30) of the years 2000 to 2100."""
 _MATLAB_DAYS = (729_391.0, 767_010.0)
 """Days of MATLAB (datenum) of the years 1997 to 2100."""
+_LOGGED_SECONDS = (1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 60.0)
+"""Usual intervals of loggers; as seconds, their fractions of a day are odd sampling rates such as 8640 Hz."""
 _DATES = ("date", "datum", "datetime", "date/time", "date time", "datum/zeit", "datum zeit", "timestamp", "zeitstempel")
 
 
@@ -142,7 +144,7 @@ def _clock(raw: RawTable, column: str, unit: str | None, source: str, usual: str
         values, begin = seconds_of(pd.to_datetime(values, unit=since_1970))
     if begin is None and said_unit is None and _are_day_numbers(values, column):
         values, begin = seconds_of(pd.to_datetime(values, unit="D", origin="1899-12-30").dt.round("us"))
-    if said_unit is None and (column in raw.days or (begin is None and _may_be_datenum(values))):
+    if said_unit is None and (column in raw.days or (begin is None and _may_be_days(values))):
         raise InputError(f'{source}: column {column or "(no name)"!r} may be in days. Set time_unit = "d" or "s".')
     numeric = pd.api.types.is_numeric_dtype(values.dtype)  # texts are refused by the reader, with their row
     factor = SECONDS[said_unit or usual or "s"] if begin is None and numeric else 1.0
@@ -166,6 +168,12 @@ def _other_clocks(
         if clock is None:
             continue
         times, other = main.seconds(), clock.seconds(main.begin)
+        if slow := unit is None and _unit_by_dates(raw, main, clock):
+            said_so = f"time column {main.name!r} counts in {slow} by the dates of {name!r}"
+            raise InputError(f'{source}: {said_so}. Set time_unit = "{slow}".')
+        if slow := unit is None and _unit_by_dates(raw, clock, main):
+            notes[name] = f"the same times as {main.name!r}, in {slow}"
+            continue
         apart = not _overlap(times, other) or not clock.has_zone_as(main.begin)
         trails = names[0] == main.name and not any(_is_data(raw, each) for each in names[names.index(name) + 1 :])
         if same_clock(times, other, anywhere=apart):
@@ -175,6 +183,17 @@ def _other_clocks(
         else:
             found.append(clock)
     return found, notes
+
+
+def _unit_by_dates(raw: RawTable, clock: _Clock, dated: _Clock) -> str | None:
+    """Return the unit of numbers without one, by the dates beside them; None for s."""
+    column = raw.frame[clock.name]
+    bare = clock.begin is None and _unit_said(raw, clock.name) is None and pd.api.types.is_numeric_dtype(column.dtype)
+    if not bare or dated.begin is None:
+        return None
+    span, length = (float(np.nanmax(each) - np.nanmin(each)) for each in (clock.seconds(), dated.seconds()))
+    units = ("ms", "min", "h", "d")
+    return next((each for each in units if abs(span * SECONDS[each] - length) < 0.01 * length), None)
 
 
 def _is_data(raw: RawTable, name: str) -> bool:
@@ -347,9 +366,15 @@ def _since_1970(values: Any, unit: str | None) -> Literal["s", "ms", "us", "ns"]
     return next((each for each in possible if _CENTURY[0] <= first * SECONDS[each] < _CENTURY[1]), None)
 
 
-def _may_be_datenum(values: Any) -> bool:
-    """Return whether numbers may be days of MATLAB: fractions of a second as times in s."""
-    if not pd.api.types.is_numeric_dtype(values.dtype) or not values.between(*_MATLAB_DAYS).all():
+def _may_be_days(values: Any) -> bool:
+    """Return whether numbers may be days: of MATLAB, or of a logger's intervals."""
+    if not pd.api.types.is_numeric_dtype(values.dtype):
+        return False
+    if len(values) > 2:
+        step = SECONDS["d"] * abs(float(values.iloc[-1]) - float(values.iloc[0])) / (len(values) - 1)
+        if any(abs(step - each) < 1e-4 * each for each in _LOGGED_SECONDS):
+            return True
+    if not values.between(*_MATLAB_DAYS).all():
         return False
     return bool((values % 1.0 > 0.0).any() and np.nanmedian(np.abs(np.diff(values))) < 1.0)
 

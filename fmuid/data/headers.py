@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy.typing as npt
 
-from fmuid.data.time_names import TIME_NAMES, is_time_name, plain_name
+from fmuid.data.time_names import TIME_NAMES, counts_part, is_time_name, plain_name
 from fmuid.errors import InputError
 from fmuid.units import SECONDS, parse_unit, time_unit
 
@@ -125,6 +125,9 @@ def split_header(header: str) -> tuple[str, str | None]:
         words = _AFTER_SLASH.fullmatch(header)
         if words is None or words["unit"] not in _SLASH_UNITS or _RATES.fullmatch(header):
             return header, None
+        quantity, _, part = words["name"].rpartition(" ")
+        if quantity and words["unit"] in SECONDS and not (is_time_name(part) or counts_part(words["name"])):
+            return quantity, f"{part}/{words['unit']}"  # a flow in smL/min
         return (header, None) if _RATIOS.fullmatch(words["name"]) else (words["name"], words["unit"])
     unit = (found["round"] if found["round"] is not None else found["square"]).strip()
     if found["name"] == "der" or (not found["gap"] and _INDEX.fullmatch(unit)):

@@ -40,7 +40,7 @@ _REWRITTEN = (
     (re.compile(r"^(\d+)d\s+(?=\d{1,2}:)"), r"\1 days "),
 )
 """Spellings of loggers and battery cyclers, and the usual ones."""
-_HALF_DAY = re.compile(r"\d{1,2}:\d{2}(:\d{2})? [ap]m", re.IGNORECASE)
+_HALF_DAY = re.compile(r"\d{1,2}:\d{2}(:\d{2}(\.\d+)?)? [ap]m", re.IGNORECASE)
 _HOUR, _DAY = 3600.0, 86_400.0
 
 
@@ -54,13 +54,8 @@ def times_of(series: pd.Series[Any], column: str, source: str) -> tuple[Any, pd.
     texts = series.dropna().astype(str) if is_text else series[:0]
     if texts.empty:
         return series, None
-    texts = _usual(texts)
+    texts = _in_24_hours(_usual(texts))
     first = str(texts.iloc[0])
-    if _HALF_DAY.fullmatch(first):
-        form_of_day = "%I:%M:%S %p" if first.count(":") == 2 else "%I:%M %p"
-        with suppress(ValueError):
-            texts = pd.to_datetime(texts, format=form_of_day).dt.strftime("%H:%M:%S")
-            first = texts.iloc[0]
     if _CLOCK.fullmatch(first) and texts.map(lambda text: _CLOCK.fullmatch(text) is not None).all():
         clock = texts.str.replace(",", ".").map(lambda text: f"{text}:00" if text.count(":") == 1 else text)
         seconds = pd.to_timedelta(clock).dt.total_seconds()
@@ -81,6 +76,16 @@ def _usual(texts: pd.Series[Any]) -> pd.Series[Any]:
     for form, usual in _REWRITTEN:
         if form.search(str(texts.iloc[0])):
             texts = texts.str.replace(form, usual, regex=True)
+    return texts
+
+
+def _in_24_hours(texts: pd.Series[Any]) -> pd.Series[Any]:
+    """Return times with am and pm as those of 24 hours."""
+    first = str(texts.iloc[0])
+    if _HALF_DAY.fullmatch(first):
+        with suppress(ValueError):
+            seconds = "" if first.count(":") == 1 else ":%S.%f" if "." in first else ":%S"
+            return pd.to_datetime(texts, format=f"%I:%M{seconds} %p").dt.strftime(f"%H:%M{seconds or ':00'}")
     return texts
 
 
@@ -107,7 +112,7 @@ def time_of_day(series: pd.Series[Any]) -> Any:
     is_text = series.dtype == object or pd.api.types.is_string_dtype(series.dtype)
     if not is_text or series.isna().any() or series.empty:
         return None
-    texts = _usual(series.astype(str)).str.replace(_COLON, r"\1.", regex=True)
+    texts = _in_24_hours(_usual(series.astype(str))).str.replace(_COLON, r"\1.", regex=True)
     if not texts.map(lambda text: _CLOCK.fullmatch(text) is not None).all() or texts.str.contains("day").any():
         return None
     whole = texts.str.replace(",", ".").map(lambda text: f"{text}:00" if text.count(":") == 1 else text)

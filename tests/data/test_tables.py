@@ -11,6 +11,7 @@ from scipy.io import savemat
 
 from fmuid import Experiment, InputError, read_data
 from fmuid.data import numeric_column
+from fmuid.units import SECONDS
 from tests.support.mat4 import characters, write_mat4
 
 TIMES = np.array([0.0, 0.1, 0.25, 0.25, 0.4])
@@ -106,6 +107,36 @@ def test_days_of_matlab_are_asked_for(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r'may be in days\. Set time_unit = "d" or "s"'):
         read_data(path)
     np.testing.assert_allclose(np.diff(read_data(path, time_unit="d")["time"]), 21600.0)
+
+
+@pytest.mark.parametrize(("step", "unit"), [(1.0, "d"), (10.0, "d"), (60.0, "min"), (3600.0, "h")])
+def test_unsaid_units_of_loggers_are_asked_for(tmp_path: Path, step: float, unit: str) -> None:
+    seconds = step * np.arange(5.0)
+    dates = pd.to_datetime("2026-01-31") + pd.to_timedelta(seconds, unit="s")
+    table = pd.DataFrame({"Time": seconds / SECONDS[unit], "u": 1.0, "DPT Time": dates.strftime("%Y-%m-%d %H:%M:%S")})
+    for columns in [[*table], ["Time", "u"]][: 1 + (unit == "d")]:
+        path = written(tmp_path, table[columns].to_csv(index=False))
+        with pytest.raises(InputError, match=f'Set time_unit = "{unit}"'):
+            read_data(path)
+        np.testing.assert_allclose(read_data(path, time_unit=unit)["time"], seconds, rtol=1e-9)
+
+
+@pytest.mark.parametrize("rate", [10_000.0, 48_000.0, 44_100.0, 51_200.0, 128.0, 60.0, 1000.0])
+def test_sampling_rates_are_no_days(tmp_path: Path, rate: float) -> None:
+    text = "Time,u\n" + "".join(f"{k / rate!r},1\n" for k in range(9))
+    np.testing.assert_allclose(read_data(written(tmp_path, text))["time"], np.arange(9) / rate)
+
+
+def test_marks_in_each_line_are_no_text(tmp_path: Path) -> None:
+    text = '\ufeff"Time","Flow smL/min"\n\ufeff"2026-01-31 10:00:00",1\n\ufeff"2026-01-31 10:01:00",2\n'
+    frame = read_data(written(tmp_path, text.encode()))
+    np.testing.assert_array_equal(frame["time"], [0.0, 60.0])
+    assert frame.attrs["units"] == {"Flow": "smL/min"}
+
+
+def test_rows_of_exponents_have_no_header(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no header"):
+        read_data(written(tmp_path, "  0.0000E+0  1.09E+2\n  4.0000E-2  1.13E+2\n  8.0000E-2  1.16E+2\n", "a.dat"))
 
 
 def test_times_within_a_step_are_no_clock(tmp_path: Path) -> None:

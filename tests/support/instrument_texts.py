@@ -73,6 +73,19 @@ Number of channels: 4
 Time  1 - default sample rate\tu\ti\tw
 s\tV\tA\trad/s
 """
+TWINCAT = """Name\trecord
+File\tC:\\record.csv
+Starttime of export\t132959733843760000\tMontag, 2. Mai 2022\t15:56:24.376
+Endtime of export\t132959733853750000\tMontag, 2. Mai 2022\t15:56:25.375
+
+
+Name\tu\tName\ti\tw
+Data-Type\tREAL64\tData-Type\tREAL64\tREAL64
+SampleTime[ms]\t10\tSampleTime[ms]\t10\t10
+Unit\tV\tUnit\tA\t(None)
+Unit ScaleFactor\t1\tUnit ScaleFactor\t1\t1
+
+"""
 
 
 def lines(frame: pd.DataFrame, separator: str = ",", decimal: str = ".", before: str = "", after: str = "") -> str:
@@ -95,6 +108,7 @@ def texts(frame: pd.DataFrame, dates: pd.Series) -> dict[str, tuple[str, str]]:
     days = [f"{each:%Y/%m/%d %H:%M:%S}" for each in dates]
     parts = [each.microsecond // 1000 for each in dates]
     dated = list(enumerate(zip(days, parts, rows, strict=True)))
+    stamped = list(zip(dates, parts, rows, strict=True))
     timed = zip(frame["time"].tolist(), rows, strict=True)
     repeated = pd.concat([frame["time"], frame["u"], frame["time"], frame["i"], frame["time"], frame["w"]], axis=1)
     settings = ["Record Length,120,", "Sample Interval,0.01,", "Source,i,", "Vertical Units,A,", "Horizontal Units,s,"]
@@ -140,6 +154,14 @@ def texts(frame: pd.DataFrame, dates: pd.Series) -> dict[str, tuple[str, str]]:
                 for each, p, r in zip(dates, parts, lines(bare, ";", ",").splitlines(), strict=True)
             ),
         ),
+        "date and time of the US": (
+            "a.csv",
+            "Date,Time,u,i,w\n"
+            + "".join(
+                f"{each:%m/%d/%Y},{each:%I:%M:%S}.{part:03d} {each:%p},{row}\n" for each, part, row in stamped
+            ),
+        ),
+        "TwinCAT Scope": ("a.csv", TWINCAT + lines(ms.iloc[:, [0, 1, 0, 2, 3]], "\t") + "EOF\n"),
         "days of spreadsheets": ("a.csv", "Date,u,i,w\n" + lines(frame.assign(time=46348.4375 + ms["time"] / 864e5))),
         "CombiTimeTable": ("a.txt", "#1\n# time u i w\ndouble tab1(120,4)\n" + lines(frame, " ")),
         "JSON lines": ("a.jsonl", frame.to_json(orient="records", lines=True, double_precision=15)),

@@ -74,6 +74,20 @@ def _after_said_lines(lines: Sequence[str]) -> RewrittenHead:
     return RewrittenHead([lines[count - 1]], count)
 
 
+def _twincat(lines: Sequence[str]) -> RewrittenHead:
+    """Return the head of TwinCAT Scope: "Name" is above times in ms, names and units are above samples."""
+    place, *_ = [k for k, line in enumerate(lines) if k > 3 and line.startswith("Name")]
+    blank, *_ = [k for k, line in enumerate(lines) if k > place and not line.strip()]
+    rows = [line.split(lines[place][4]) for line in lines[place:blank]]
+    names = rows[0]
+    units = next((row for row in rows if row[0] == "Unit"), names)
+    heads = ["time [ms]"]
+    for before, name, unit in zip(names, names[1:], units[1:], strict=False):
+        clock = name == "Name" and before != "Name"
+        heads.append(f"time {len(heads)} [ms]" if clock else name if unit in ("(None)", "") else f"{name} [{unit}]")
+    return RewrittenHead([lines[place][4].join(heads)], blank + 1)
+
+
 def _text_of_dymola(_lines: Sequence[str], source: str) -> Iterator[str]:
     raise InputError(f"{source}: a text result of Dymola. Save it as .mat or .csv.")
 
@@ -96,6 +110,7 @@ _LAYOUTS: tuple[tuple[re.Pattern[str], Callable[[Sequence[str], str], Iterator[s
 _HEADS: tuple[tuple[re.Pattern[str], Callable[[Sequence[str]], RewrittenHead]], ...] = (
     (re.compile(r"LabVIEW Measurement\b"), _labview),
     (re.compile(r"[^\n]* ASCII FILE\s*\nNb header lines *: *\d+"), _after_said_lines),
+    (re.compile(r"Name\W[^\n]*\nFile\W[^\n]*\n\"?Starttime of export\W"), _twincat),
     (re.compile(r"X,.*\bStart,Increment\b.*\n"), _numbered),
 )
 """The same where only lines above the samples are rewritten."""

@@ -130,10 +130,10 @@ def _with_head(
 def _as_utf8(opened: Callable[[], IO[bytes]], encoding: str, text: str) -> Callable[[], IO[bytes]]:
     """Return an opener of UTF-8 with line feeds."""
     bare = "\r\n" not in text and text.count("\r") > text.count("\n")  # line feeds may be in quoted headers
-    if encoding == "utf-8-sig" and not bare:
+    if encoding == "utf-8-sig" and not bare and "\ufeff" not in text:
         return opened
     with opened() as file:
-        whole = file.read().decode(encoding)
+        whole = file.read().decode(encoding).replace("\ufeff", "")  # some loggers mark each line
     return partial(io.BytesIO, (whole.replace("\r", "\n") if bare else whole).encode())
 
 
@@ -278,7 +278,7 @@ def _as_it_is(source: str, text: str) -> _Layout:
     _check_head(source, text)
     rows = [row for _, row in read]
     header = tuple(cell.strip() for cell in rows[0])
-    if all(is_number(name) for name in header) or is_number(header[0], ","):
+    if all(is_number(part) for name in header for part in name.split()) or is_number(header[0], ","):
         raise InputError(f"{source}: no header. Write the names of the columns into the first line.")
     if len(rows) > 1 and len(rows[1]) != len(header):
         said = f"{len(header)} names in the header, {_cells(len(rows[1]))} in row 1"
