@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from graphlib import TopologicalSorter
+from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 
@@ -139,7 +140,7 @@ IDENTIFY = (
 )
 OTHERS = {
     *("fmuid.reports.topics.monitoring", "fmuid.diagnosis.monitor", "pint", "emcee", "bokeh"),
-    *("scipy.optimize", "scipy.signal", "scipy.stats"),
+    *("scipy.optimize", "scipy.signal", "scipy.stats", "distributed"),
 }
 
 
@@ -172,3 +173,37 @@ def test_tests_mirror_the_packages() -> None:
     assert {path.name for path in tests.iterdir() if path.is_dir() and path.name != "__pycache__"} <= packages
     for path in tests.rglob("*.py"):
         assert not re.search(r"^\s*(from|import) tests\.[\w.]*test_", path.read_text(encoding="utf-8"), re.M), path
+
+
+# --- two walks: each step is an import, so that a reader can follow it, and neither is long
+
+COLUMN = (
+    *("studies.study", "studies.model", "data.data_file", "data.readers.text", "data.headers", "data.clock"),
+    *("data.preprocessing", "data.experiment", "identification.problem", "estimation.problem"),
+    *("estimation.cost_function", "estimation.local_search", "estimation.result"),
+    *("runs.findings", "reports.topics.fit", "reports.chart", "reports.render.bokeh_renderer", "reports.render.html"),
+)
+"""From a column of a CSV file to its figure in the report."""
+PRIOR = (
+    *("studies.parameters", "data.priors", "data.parameters", "estimation.problem", "estimation.cost_function"),
+    *("identification.acquisition_delay", "identification.sampler", "identification.posterior"),
+    *("identification.assessment", "runs.findings", "reports.topics.uncertainty_charts", "reports.chart"),
+    *("reports.render.bokeh_renderer", "reports.render.html"),
+)
+"""From a parameter's prior to the figure of its posterior."""
+
+
+def is_step(one: str, other: str) -> bool:
+    """Return whether one of two modules imports the other, or a module of the package of one imports both."""
+    if other in uses(modules()[one]) or one in uses(modules()[other]):
+        return True
+    packages = {each.rpartition(".")[0] for each in (one, other)}
+    beside = [path for package in packages for path in (PACKAGE / package.replace(".", "/")).glob("*.py")]
+    return any({one, other} <= uses(path) for path in beside)
+
+
+@pytest.mark.parametrize(("walk", "most"), [(COLUMN, 18), (PRIOR, 14)], ids=["column", "prior"])
+def test_a_walk_is_short_and_no_room_is_entered_twice(walk: tuple[str, ...], most: int) -> None:
+    assert len(walk) == len(set(walk)) <= most
+    assert [step for step in pairwise(walk) if not is_step(*step)] == []
+    assert not is_step("data.clock", "reports.chart")

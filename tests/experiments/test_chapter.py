@@ -33,9 +33,16 @@ def committed() -> np.ndarray:
     return rows.reshape(len(rows), len(chapter.KINDS), -1)
 
 
+def check_both_are_nearest(errors: np.ndarray) -> None:
+    means = chapter.root_mean_squares(errors)
+    assert (means.loc["both"] < means.loc["prior alone"]).all()
+    assert (means.loc["both"] < means.loc["data alone"]).all()
+
+
 @pytest.mark.slow
 def test_the_committed_draws_are_these(clean: pd.DataFrame, committed: np.ndarray) -> None:
     assert len(committed) == chapter.DRAWS
+    check_both_are_nearest(committed)
     assert chapter.draws(clean, 3, chapter.SEED) == pytest.approx(committed[:3], abs=2e-3)
 
 

@@ -25,6 +25,14 @@ def test_only_colored_noise_in_closed_loop_makes_a_bias(committed: pd.DataFrame)
     assert biased["bias"].to_numpy() == pytest.approx(biased["predicted"].to_numpy(), rel=0.25)
 
 
+def test_the_bias_grows_as_the_signal_gets_weaker_and_as_predicted(committed: pd.DataFrame) -> None:
+    colored = committed[committed["kind"] == COLORED]
+    for _, part in colored.groupby("parameter"):
+        strong = part[part["ratio"] >= 10]
+        assert (np.diff(part["bias"]) > 0).all()  # ratios fall
+        assert ((strong["bias"] - strong["predicted"]).abs() < 3 * strong["error"]).all()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", [COLORED, OPEN, WHITE])
 def test_the_committed_numbers_are_these(kind: str, committed: pd.DataFrame) -> None:

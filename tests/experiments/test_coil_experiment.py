@@ -59,11 +59,33 @@ def test_fresh_draws_scatter_and_alarm_as_the_theory_says(number: int) -> None:
     assert found["called"].mean() == pytest.approx(expected.rate, abs=4 * rate + 0.5 / count)
 
 
+@pytest.mark.parametrize("number", study.TESTS)
+def test_the_committed_draws_reach_what_is_wanted(committed: pd.DataFrame, number: int) -> None:
+    case, part = study.TESTS[number], committed[committed["test"] == number]
+    expected, error = study.theory(case.R, case.fault), part["dR"] - case.fault
+    assert len(part) == study.DRAWS
+    assert abs(error.mean()) < 0.02
+    assert error.std() == pytest.approx(expected.spread, rel=0.15)
+    if number == 2:
+        assert 0.002 <= part["called"].mean() <= 0.03
+    else:
+        assert part["called"].mean() == pytest.approx(expected.rate, abs=0.05)
+    if number in (1, 4):
+        assert part["called"].all()
+
+
 def test_the_committed_draws_are_these(committed: pd.DataFrame) -> None:
     case = study.TESTS[3]
     again, there = study.draws(case.R, case.fault, 2, 3), committed[committed["test"] == 3].head(2)
     assert again["dR"].to_numpy() == pytest.approx(there["dR"].to_numpy(), rel=1e-4)
     assert again["D"].to_numpy() == pytest.approx(there["D"].to_numpy(), rel=1e-3)
+
+
+def test_warm_and_cold_coils_alarm_at_the_level() -> None:
+    alarms = pd.read_csv(study.HERE / "alarms.csv")
+    assert tuple(alarms["R"]) == study.WARM
+    for kind in ("called", "alarms"):
+        assert (alarms[kind] / alarms["draws"]).between(0.002, 0.03).all()
 
 
 def test_the_page_shows_table_1_1(single: dict[int, fmuid.Diagnosis]) -> None:

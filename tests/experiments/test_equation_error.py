@@ -31,3 +31,11 @@ def test_the_draws_come_out_and_agree_with_theory(committed: pd.DataFrame, metho
         assert part["theory"].to_numpy() == pytest.approx(expected, abs=1e-3)
         assert (np.abs(part["mean"] - part["theory"]) < 4.0 * part["std"] / np.sqrt(study.DRAWS)).all()
         assert (np.abs(errors - part["mean"].to_numpy()) < 4.0 * part["std"].to_numpy()).all()
+
+
+def test_what_the_page_says(committed: pd.DataFrame) -> None:
+    means = committed.set_index(["method", "ratio", "parameter"])["mean"]
+    unbiased = means[[name.startswith(("IV", "output")) for name in means.index.get_level_values("method")]]
+    assert (unbiased.abs() <= 0.4).all()
+    assert means["difference equation", 10.0, "R"] > 100.0
+    assert means["filter at 400 rad/s", 10.0, "L"] < -15.0 < means["filter at 40 rad/s", 10.0, "L"]
