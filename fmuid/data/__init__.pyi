@@ -54,7 +54,9 @@ from .readers.text import head_length as head_length
 from .responses import DECIBEL as DECIBEL
 from .responses import DEGREE as DEGREE
 from .responses import RESPONSE_FORMS as RESPONSE_FORMS
+from .responses import RESPONSE_PARTS as RESPONSE_PARTS
 from .responses import FrequencyExperiment as FrequencyExperiment
 from .responses import Response as Response
+from .responses import complex_values as complex_values
 from .sensor_map import SensorMap as SensorMap
 from .several_clocks import CLOCKS as CLOCKS

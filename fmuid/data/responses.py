@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fmuid.array_types import Floats
 from fmuid.data.data_file import numeric_column
@@ -14,6 +15,7 @@ from fmuid.data.experiment import Experiment
 from fmuid.data.operating_points import ROW, check_rows, describe_rows, with_rows
 from fmuid.errors import InputError
 
+RESPONSE_PARTS = ("real", "imaginary", "magnitude", "decibel", "phase")
 DEGREE, DECIBEL = math.pi / 180.0, math.log(10.0) / 20.0
 """Of phases and decibels, the relative change of a response in one."""
 RESPONSE_FORMS = (("real", "imaginary"), ("magnitude", "phase"), ("decibel", "phase"))
@@ -64,8 +66,18 @@ class Response:
     @property
     def columns(self) -> dict[str, str]:
         """Parts to columns."""
-        names = ("real", "imaginary", "magnitude", "decibel", "phase")
-        return {name: column for name in names if (column := getattr(self, name)) is not None}
+        return {name: column for name in RESPONSE_PARTS if (column := getattr(self, name)) is not None}
+
+
+def complex_values(parts: Mapping[str, Floats]) -> NDArray[np.complex128]:
+    """Return a response (K,) by its parts; a missing part is 0, a missing magnitude 1."""
+    none = np.zeros(len(next(iter(parts.values()))))
+    if "real" in parts or "imaginary" in parts:
+        found = parts.get("real", none) + 1j * parts.get("imaginary", none)
+    else:
+        size = parts.get("magnitude", np.exp(DECIBEL * parts.get("decibel", none)))
+        found = size * np.exp(1j * DEGREE * parts.get("phase", none))
+    return np.asarray(found, dtype=np.complex128)
 
 
 @dataclass(frozen=True, eq=False)

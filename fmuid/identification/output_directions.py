@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fmuid.array_types import Floats
-from fmuid.data import DECIBEL, DEGREE, Experiment, Response
+from fmuid.data import DECIBEL, DEGREE, Experiment, complex_values
 from fmuid.identification.model_errors import ErrorKind, Sizes
-from fmuid.models import Phasors
 from fmuid.simulation import AnySimulator, FrequencySimulator, output_unit
 
 
@@ -77,7 +76,7 @@ def _of_responses(
     names, angular = simulator.output_names, simulator.angular
     for name, response in simulator.experiment.responses.items():
         columns = {part: names.index(f"{name}.{part}") for part in response.columns}
-        values = _complex(response, {part: simulated[:, j] for part, j in columns.items()})
+        values = complex_values({part: simulated[:, j] for part, j in columns.items()})
         one = np.ones(len(values), dtype=np.complex128)
         found = [(ErrorKind.GAIN, "", SETTINGS.share, one)]
         if len(columns) == 2:
@@ -96,17 +95,6 @@ def _of_responses(
             for part, j in columns.items():
                 table[:, j] = by_part[part]
             yield DirectionColumn(kind, (name,), unit, usual, table)
-
-
-def _complex(response: Response, parts: Mapping[str, Floats]) -> Phasors:
-    """Return the values (K,) of a response; a missing part is 0, a missing magnitude 1."""
-    none = np.zeros(len(next(iter(parts.values()))))
-    if response.real is not None or response.imaginary is not None:
-        found = parts.get("real", none) + 1j * parts.get("imaginary", none)
-    else:
-        size = parts.get("magnitude", np.exp(DECIBEL * parts.get("decibel", none)))
-        found = size * np.exp(1j * DEGREE * parts.get("phase", none))
-    return np.asarray(found, dtype=np.complex128)
 
 
 def sensor_columns(experiment: Experiment, simulated: Floats, units: Mapping[str, str]) -> Iterator[DirectionColumn]:

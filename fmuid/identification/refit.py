@@ -107,7 +107,6 @@ class CorrectedProblem(LeastSquares):
             CorrectedPredictor(each, np.nan_to_num(np.stack([tables[i] for tables in columns], axis=2)), simulated)
             for i, each in enumerate(base.predictors)
         ]
-        vars(self)["corrections"] = predictors
         given = {**base.given_parameters, **sizes}
         super().__init__(predictors, base.experiments, given, noise=base.noise, joint_prior=base.joint_prior)
 
@@ -122,8 +121,8 @@ class CorrectedProblem(LeastSquares):
         """Return a result with outputs free of errors of sensors."""
         count, sizes = len(vars(self)["base"].parameters), result.values[None]
         own, sensed = without_sizes(result, count), np.array([e.kind in SENSOR_ERRORS for e in vars(self)["freed"]])
-        corrections: list[CorrectedPredictor] = vars(self)["corrections"]
-        parts = zip(own.fit.simulated, corrections, strict=True)
+        predictors = [each for each in self.predictors if isinstance(each, CorrectedPredictor)]
+        parts = zip(own.fit.simulated, predictors, strict=True)
         simulated = tuple(each - by.added(sizes[:, count:], sensed)[0] for each, by in parts)
         return replace(own, fit=replace(own.fit, simulated=simulated))
 

@@ -16,7 +16,7 @@ from fmuid.simulation import codes
 from fmuid.simulation.executor_pool import executor_of, variant_of
 from fmuid.simulation.plan_builder import grid_of, outputs_with_sensitivities, plan_of, simulation_of
 from fmuid.simulation.simulation_plan import GridSimulation, Sensitivities, SimulationPlan
-from fmuid.simulation.simulation_task import task_of
+from fmuid.simulation.simulation_task import SimulationTask, task_of
 from fmuid.simulation.simulator import Simulator
 
 
@@ -65,11 +65,16 @@ def directional_simulation(simulator: Simulator) -> SensitivitySimulation | None
     if not gives_derivatives(system, simulator.output_names, names):
         return None
     states = next(iter(system.components.values())).fmu.description.states
-    given = Sensitivities.of([system.variables[name].reference for name in names], len(states))
     task = task_of(system, simulator.experiment, names, *simulator.settings)
-    plan = plan_of(task, partial(outputs_with_sensitivities, count=len(names)))
-    simulation = GridSimulation(carrying(plan, given), grid_of(task), simulator.output_names * (1 + len(names)))
+    plan, given = plan_by_seeds(task, names, len(states))
+    simulation = GridSimulation(plan, grid_of(task), simulator.output_names * (1 + len(names)))
     return SensitivitySimulation(simulation, system, given)
+
+
+def plan_by_seeds(task: SimulationTask, seeds: Sequence[str], n_states: int) -> tuple[SimulationPlan, Sensitivities]:
+    """Return a plan with directional derivatives by seeds, and its sensitivities."""
+    given = Sensitivities.of([task.system.variables[name].reference for name in seeds], n_states)
+    return carrying(plan_of(task, partial(outputs_with_sensitivities, count=len(seeds))), given), given
 
 
 def gives_derivatives(system: System, outputs: Sequence[str], seeds: Sequence[str]) -> bool:

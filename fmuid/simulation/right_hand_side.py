@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -16,9 +15,9 @@ from fmuid.array_types import Floats
 from fmuid.models import System
 from fmuid.simulation import codes
 from fmuid.simulation.executor_pool import executor_of
-from fmuid.simulation.forward_simulation import carrying, extended_by, initial_simulation, initial_states
-from fmuid.simulation.plan_builder import grid_of, outputs_with_sensitivities, plan_of
-from fmuid.simulation.simulation_plan import GridSimulation, Sensitivities
+from fmuid.simulation.forward_simulation import extended_by, initial_simulation, initial_states, plan_by_seeds
+from fmuid.simulation.plan_builder import grid_of, plan_of
+from fmuid.simulation.simulation_plan import GridSimulation
 from fmuid.simulation.simulation_task import task_of
 from fmuid.simulation.simulator import Simulator
 from fmuid.simulation.solver_refinement import by_model_exchange
@@ -60,10 +59,7 @@ class RightHandSide:
         )
         # nothing varies between points
         task, found = replace(task, modes=dict.fromkeys(task.modes, codes.HELD)), task.experiment.output_names
-        plan = plan_of(task, partial(outputs_with_sensitivities, count=len(seeds))) if seeds else plan_of(task)
-        if seeds:
-            references = [system.variables[name].reference for name in seeds]
-            plan = carrying(plan, Sensitivities.of(references, len(self.states)))
+        plan = plan_by_seeds(task, seeds, len(self.states))[0] if seeds else plan_of(task)
         self._simulation = GridSimulation(plan, self._points, found * (1 + len(seeds)))
         # a derivative that was measured is there once
         self._columns = [found.index(name) for name in (*wanted, *outputs)]
@@ -108,8 +104,7 @@ class RightHandSide:
             given[:] = states
             executor.run(job)
         job.outputs[job.failed] = np.nan
-        parts = 1 + self._seeds
-        return job.outputs.reshape(*job.outputs.shape[:2], parts, -1)[..., self._columns]
+        return job.outputs.reshape(*job.outputs.shape[:2], 1 + self._seeds, -1)[..., self._columns]
 
     @property
     def times(self) -> Floats:

@@ -336,7 +336,6 @@ def _check_grid(plan: SimulationPlan, grid: TimeGrid, n: int) -> None:
     _demand(grid.strides.shape == (n,) and (grid.strides > 0).all(), "strides")
     if grid.states is not None or grid.gain is not None:
         (integration,) = plan.integrations if n == 1 else (None,)
-        sensitivities = None if integration is None or grid.gain is None else integration.sensitivities
-        _demand(integration is not None and sensitivities is None, "states")
+        _demand(integration is not None and (grid.gain is None or integration.sensitivities is None), "states")
     measured = None if grid.measured is None else grid.measured.shape
     _demand(measured == (None if grid.gain is None else (n_times, len(plan.output_terms) - 1)), "measured outputs")

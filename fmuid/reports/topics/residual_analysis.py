@@ -165,8 +165,8 @@ def is_ordered(found: ResidualAnalysis) -> bool:
 def _widening(found: ResidualAnalysis, *, colored: bool) -> list[Remark]:
     if factors := widening_words(found):
         sure = any(each.trait is ResidualDefect.COLORED for each in found.findings)
-        reason = "of colored noise" if sure else "the noise may be colored"
-        reason = reason if is_ordered(found) else "of uneven noise"
+        doubted = "the noise may be colored" if is_ordered(found) else "of uneven noise"
+        reason = "of colored noise" if sure else doubted
         return [ResidualMessage.WIDENED.said(factors=factors, reason=reason)]
     known = any(map(math.isfinite, found.widening.values()))
     return [ResidualMessage.NOT_WIDENED.said()] if colored and known else []

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fmuid.array_types import Floats, Indices
-from fmuid.data import response_of
+from fmuid.data import RESPONSE_PARTS, complex_values, response_of
 from fmuid.formatting import label, two_digits
 from fmuid.identification import Contributions
 from fmuid.reports.chart import LIMITS, Axis, Chart, ChartGrid, Layer, short
@@ -85,16 +85,9 @@ def _nyquist(fit: OutputFit, order: Indices) -> Iterator[Chart]:
 
 def _complex(fit: OutputFit, name: str, table: Floats) -> np.ndarray | None:
     """Return a response (K,) by its parts; None of one part alone."""
-    parts = {part: table[:, fit.outputs.index(f"{name}.{part}")] for part in PARTS if f"{name}.{part}" in fit.outputs}
-    if {"real", "imaginary"} <= parts.keys():
-        return np.asarray(parts["real"] + 1j * parts["imaginary"])
-    size = 10.0 ** (parts["decibel"] / 20.0) if "decibel" in parts else parts.get("magnitude")
-    if size is None or "phase" not in parts:
-        return None
-    return np.asarray(size * np.exp(1j * np.radians(parts["phase"])))
-
-
-PARTS = ("real", "imaginary", "magnitude", "decibel", "phase")
+    own = {part: f"{name}.{part}" for part in RESPONSE_PARTS if f"{name}.{part}" in fit.outputs}
+    parts = {part: table[:, fit.outputs.index(output)] for part, output in own.items()}
+    return complex_values(parts) if len(parts) == 2 else None
 
 
 def _load_curves(fit: OutputFit, half: Floats | None) -> ChartGrid:
