@@ -20,26 +20,13 @@ from fmuid.estimation.problem import LeastSquares
 
 @dataclass(frozen=True, eq=False)
 class AugmentedProblem:
-    """Linearized problem with m columns beside the N parameters.
+    """Linearized problem with m columns beside the N parameters."""
 
-    Attributes
-    ----------
-    design : (n, N + m) array
-        Change of the whitened outputs by parameters and columns.
-    prior : (q, N + m) array
-    target : (n + q,) array
-        Residual, then prior residual.
-    root : (N + m, N + m) array
-        R with R Rᵀ the covariance under white noise.
-    levels : (n,) array
-        Noise level of each row.
-    """
-
-    design: Floats
-    prior: Floats
-    target: Floats
-    root: Floats
-    levels: Floats
+    design: Floats  # (n, N + m), change of the whitened outputs by parameters and columns
+    prior: Floats  # (q, N + m)
+    target: Floats  # (n + q,), residual, then prior residual
+    root: Floats  # (N + m, N + m), R with R Rᵀ the covariance under white noise
+    levels: Floats  # (n,), noise level of each row
 
     @cached_property
     def step(self) -> Floats:
@@ -69,15 +56,9 @@ class AugmentedProblem:
 
 
 def augmented(local: LinearizedProblem, columns: Floats, prior_std: Floats | None = None) -> AugmentedProblem:
-    """Return a linearized problem with columns beside its parameters.
+    """Return a linearized problem with columns (n, m) of whitened outputs.
 
-    Parameters
-    ----------
-    local : LinearizedProblem
-    columns : (n, m) array
-        Of whitened outputs.
-    prior_std : (m,) array, optional
-        Of sizes with mean zero; default: no prior.
+    Their sizes have mean zero and `prior_std` (m,), or no prior.
     """
     count, more = local.jacobian.shape[1], columns.shape[1]
     design = np.hstack([-local.jacobian, columns])

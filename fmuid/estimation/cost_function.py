@@ -26,19 +26,8 @@ class CostFunction:
 
     Rows are whitened residuals (measured − simulated)/σ, then prior rows W(θ₀ − θ). A robust loss gives roots ±√ρ(f²).
 
-    Attributes
-    ----------
-    problem : LeastSquares
-    variance : (n_outputs,) array
-        Noise variances that whiten the residual.
-    least_variance : (n_outputs,) array
-        Smallest variance that simulation noise and rounding allow.
-    lower, upper : (N,) arrays
-        Bounds.
-    simulation_noise : (n_outputs,) array
-        Standard deviation of each output's simulation noise, in its unit.
-    noise : float
-        RMS of the simulation noise in the whitened residual.
+    Variances (n_outputs,) are `variance`, which whitens, and `least_variance`, which simulation noise and rounding
+    allow. `simulation_noise` (n_outputs,) is in units of the outputs; `noise` is its RMS in the whitened residual.
     """
 
     def __init__(
@@ -203,22 +192,10 @@ class InitializedProblem:
 
 
 def prepare(evaluator: Evaluator[LeastSquares], theta: ArrayLike | None = None) -> InitializedProblem:
-    """Simulate the initial guess, measure noise, choose variances and difference steps.
+    """Simulate the initial guess (default: of the parameters), measure noise, choose variances and difference steps.
 
-    A parameter without effect there is moved to a point with an effect.
-
-    Parameters
-    ----------
-    evaluator : Evaluator
-    theta : (N,) array, optional
-        Initial guess; default: that of the parameters.
-
-    Raises
-    ------
-    SimulationError
-        If the simulation fails.
-    InputError
-        If an output is not measured, theta is out of bounds, all neighbors fail, or a parameter has no effect.
+    A parameter without effect there is moved to a point with an effect. `InputError`: an output is not measured, theta
+    is out of bounds, all neighbors fail, or a parameter has no effect. `SimulationError`: the simulation fails.
     """
     problem, parameters = evaluator.problem, evaluator.problem.parameters
     problem.check_measured()

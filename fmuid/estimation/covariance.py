@@ -112,27 +112,13 @@ class LocalCovariance:
 
 @dataclass(frozen=True, eq=False)
 class WhitenedJacobian:
-    """Jacobian of the whitened residual, with its errors.
+    """Jacobian of the whitened residual, with its errors."""
 
-    Attributes
-    ----------
-    rows : (n_rows, N) array
-        The prior's rows are the last.
-    error : (N,) array
-        Norm of the error of each column.
-    prior_rows : int
-        Number of rows of the prior, without error.
-    spread : (n_rows,) array, optional
-        Standard deviation of each row; default 1.
-    reduced : (N+1, N+1) array, optional
-        Triangle of the Jacobian and any residual, if known.
-    """
-
-    rows: Floats
-    error: Floats
-    prior_rows: int = 0
-    spread: Floats | None = None
-    reduced: Floats | None = None
+    rows: Floats  # (n_rows, N), the prior's rows are the last
+    error: Floats  # (N,), norm of the error of each column
+    prior_rows: int = 0  # number of rows of the prior, without error
+    spread: Floats | None = None  # (n_rows,), standard deviation of each row; default 1
+    reduced: Floats | None = None  # (N+1, N+1), triangle of the Jacobian and any residual, if known
 
 
 def local_covariance(
@@ -145,16 +131,7 @@ def local_covariance(
 ) -> LocalCovariance:
     """Return covariance and identifiability of a whitened Jacobian.
 
-    Parameters
-    ----------
-    names : sequence of str
-    given : WhitenedJacobian
-    magnitudes : (N,) array
-        Magnitude of each parameter.
-    theta : (N,) array, optional
-        Parameters. Default: the magnitudes.
-    scale : (N,) array, optional
-        Initial scale of each parameter; estimates near zero stay identifiable. Default: the magnitudes.
+    `theta`, and the initial `scale`, by which estimates near zero stay identifiable, are the magnitudes by default.
     """
     jacobian, prior_rows = given.rows, given.prior_rows
     reduced = triangle(jacobian, np.zeros(len(jacobian))) if given.reduced is None else given.reduced

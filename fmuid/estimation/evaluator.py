@@ -80,18 +80,9 @@ def _bytes(value: object) -> int:
 
 
 class Evaluator(Generic[AnyProblem]):
-    """Simulates one problem and counts simulations and failures.
+    """Simulates one problem and counts simulations and failures; problems of the same layout share a cache.
 
-    Parameters
-    ----------
-    problem : LeastSquares
-    cache : Cache, optional
-        Shared by problems of the same layout.
-
-    Attributes
-    ----------
-    scatter : (N,) array or None
-        Expected standard deviations of the estimates, if the cache serves many problems.
+    `scatter` (N,) are expected standard deviations of the estimates, if the cache serves many problems.
     """
 
     def __init__(

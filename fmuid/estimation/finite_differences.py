@@ -71,13 +71,7 @@ def parabola_slope(low: Floats, high: Floats, a: float | Floats, b: float | Floa
 
 
 class SensitivityError(FmuidError):
-    """All simulations near a point fail.
-
-    Attributes
-    ----------
-    index : int
-        Index of the parameter.
-    """
+    """All simulations near a point fail; `index` is that of the parameter."""
 
     def __init__(self, index: int) -> None:
         super().__init__(f"every simulation with parameter number {index} moved to either side fails")

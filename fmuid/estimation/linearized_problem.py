@@ -27,30 +27,16 @@ class PriorDataOptimum:
 
 @dataclass(frozen=True, eq=False)
 class LinearizedProblem:
-    """Rows of the cost function (1.37) and their derivatives at one point.
+    """Rows of the cost function (1.37) and their derivatives at one point."""
 
-    Attributes
-    ----------
-    residual, jacobian : (n,) and (n, N) arrays
-        Whitened data; counted samples only.
-    prior_residual, prior_jacobian : (q,) and (q, N) arrays
-        W(θ₀ − θ) and −W; q = 0 without prior.
-    levels : (n,) array
-        Noise level of each row of the data, by which it is whitened.
-    magnitudes : (N,) array
-        Magnitudes of the parameters.
-    data, combined : LocalCovariance
-        Covariance from the data alone, and with the prior.
-    """
-
-    residual: Floats
-    jacobian: Floats
-    prior_residual: Floats
-    prior_jacobian: Floats
-    levels: Floats
-    magnitudes: Floats
-    data: LocalCovariance
-    combined: LocalCovariance
+    residual: Floats  # (n,), whitened data; counted samples only
+    jacobian: Floats  # (n, N)
+    prior_residual: Floats  # (q,), W(θ₀ − θ); q = 0 without prior
+    prior_jacobian: Floats  # (q, N), −W
+    levels: Floats  # (n,), noise level of each row, by which it is whitened
+    magnitudes: Floats  # (N,), of the parameters
+    data: LocalCovariance  # from the data alone
+    combined: LocalCovariance  # with the prior
 
     @cached_property
     def _decomposed(self) -> tuple[Floats, Floats, Floats]:

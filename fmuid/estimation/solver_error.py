@@ -31,17 +31,10 @@ def stack_simulated(problem: LeastSquares, result: Result) -> Floats:
 def estimate_solver_error(
     problem: LeastSquares, result: Result, error: Floats, *, controlled: bool = False
 ) -> SolverCheck:
-    """Return the shift of the estimates by an error of the simulation.
+    """Return the shift of an optimum by an error of the simulation.
 
-    Parameters
-    ----------
-    problem : LeastSquares
-    result : Result
-        Optimum, with `Result.fit.linearization`.
-    error : (n,) array
-        Finer minus used simulation of the scored samples; NaN if failed.
-    controlled : bool
-        True if both control their error; identical outputs then mean no error.
+    The error (n,) is the finer minus the used simulation of the scored samples, NaN if failed. If both simulations are
+    `controlled`, identical outputs mean no error.
     """
     unknown = np.full(len(result.names), np.nan)
     if not np.isfinite(error).all():

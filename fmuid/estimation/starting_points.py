@@ -32,13 +32,6 @@ def second_difference_noise(times: Floats, values: Floats) -> float:
     """Return the noise level of an output, NaN with too few samples.
 
     Compares each sample with the line through its neighbors, by the median: an upper bound.
-
-    Parameters
-    ----------
-    times : (K,) array
-        Never decreasing.
-    values : (K,) array
-        NaN if a sample is missing.
     """
     there = np.flatnonzero(~np.isnan(values))
     if there.size < SETTINGS.noise_samples:
@@ -55,16 +48,8 @@ def second_difference_noise(times: Floats, values: Floats) -> float:
 def smoothness_noise(order: Floats, values: Floats, scale: Floats) -> float:
     """Return the relative noise level of a curve, NaN with few samples.
 
-    Compares each sample with the cubic through two neighbors on each side, by the median: an upper bound.
-
-    Parameters
-    ----------
-    order : (K,) array
-        Coordinate, increasing.
-    values : (K,) array
-        NaN if a sample is missing.
-    scale : (K,) array
-        Noise level of each sample is proportional to it.
+    Compares each sample with the cubic through two neighbors on each side, by the median: an upper bound. The noise of
+    each sample is in proportion to `scale`.
     """
     there = np.flatnonzero(~np.isnan(values))
     if there.size < SETTINGS.noise_samples:
@@ -121,13 +106,7 @@ class Box:
 
 
 def sobol_points(dimensions: int, count: int, seed: int | np.random.Generator) -> Floats:
-    """Return the first points (count, dimensions) of a scrambled Sobol sequence.
-
-    Parameters
-    ----------
-    dimensions, count : int
-    seed : int or numpy.random.Generator
-    """
+    """Return the first points (count, dimensions) of a scrambled Sobol sequence."""
     from scipy.stats import qmc  # slow to import
 
     points = qmc.Sobol(dimensions, seed=seed).random_base2((count - 1).bit_length())
@@ -135,26 +114,10 @@ def sobol_points(dimensions: int, count: int, seed: int | np.random.Generator) -
 
 
 class WeakForm:
-    """Weak form of ẋ = f(x, u, θ) over windows of one recording.
+    """Weak form of ẋ = f(x, u, θ) over windows of one recording; `shape` counts windows and states.
 
-    ∫ w f dt + ∫ w′ x dt = 0 for w = 4 z (1 − z), z from 0 to 1 along a window (Shinbrot, NACA TN 3288, 1954).
-
-    Parameters
-    ----------
-    times : (K,) array
-        Never decreasing, s.
-    there : (K, n_x) array of bool
-        True if a state was measured.
-
-    Attributes
-    ----------
-    shape : tuple of int
-        Windows and states.
-
-    Raises
-    ------
-    InputError
-        If no window has enough samples.
+    ∫ w f dt + ∫ w′ x dt = 0 for w = 4 z (1 − z), z from 0 to 1 along a window (Shinbrot, NACA TN 3288, 1954). States
+    were measured where `there` (K, n_x). `InputError`: no window has enough samples.
     """
 
     def __init__(self, times: Floats, there: Flags) -> None:

@@ -24,24 +24,13 @@ LINE = LineSettings()
 
 @dataclass(frozen=True, eq=False)
 class LineError:
-    """One unit of an error of line voltages.
-
-    Attributes
-    ----------
-    kind : ErrorKind
-    subject : tuple of str
-    unit : str
-    size : float
-        Magnitude of which usual errors are a share.
-    change : (K, 2) array
-        Of the voltages of the axes, V.
-    """
+    """One unit of an error of line voltages."""
 
     kind: ErrorKind
     subject: tuple[str, ...]
     unit: str
-    size: float
-    change: Floats
+    size: float  # magnitude of which usual errors are a share
+    change: Floats  # (K, 2), of the voltages of the axes, V
 
 
 def is_estimated(kind: ErrorKind, subject: tuple[str, ...], parameters: tuple[str, ...]) -> bool:

@@ -30,67 +30,30 @@ SETTINGS = LinearizationSettings()
 
 @dataclass(frozen=True, eq=False)
 class Forcing:
-    """Change of rates and outputs, and jumps of the state.
+    """Change of rates and outputs, and jumps of the state."""
 
-    Attributes
-    ----------
-    rates : (P, n_x) array
-        P = 2 (K − 1) points: begin and end of each interval.
-    outputs : (K, n_y) array or None
-        Direct change of the outputs at the samples.
-    begin, end : (K − 1, n_x) arrays or None
-        Jumps of the state at the begin and the end of each interval.
-    initial : (n_x,) array or None
-        Change of the initial state.
-    """
-
-    rates: Floats
-    outputs: Floats | None = None
-    begin: Floats | None = None
-    end: Floats | None = None
-    initial: Floats | None = None
+    rates: Floats  # (P, n_x) at P = 2 (K − 1) points: begin and end of each interval
+    outputs: Floats | None = None  # (K, n_y), direct change of the outputs at the samples
+    begin: Floats | None = None  # (K − 1, n_x), jumps of the state at the begin of each interval
+    end: Floats | None = None  # (K − 1, n_x), jumps at its end
+    initial: Floats | None = None  # (n_x,), change of the initial state
 
 
 @dataclass(frozen=True, eq=False)
 class DiscreteStateSpace:
-    """Steps of a linearized record: x⁺ = E x + G g, y = C x.
+    """Steps of a linearized record: x⁺ = E x + G g, y = C x."""
 
-    Attributes
-    ----------
-    transition : (n_x, n_x) array
-        E.
-    by_rate : (n_x, n_x) array
-        G: change of the states by rates held for a step, s.
-    observed : (n_y, n_x) array
-        C.
-    """
-
-    transition: Floats
-    by_rate: Floats
-    observed: Floats
+    transition: Floats  # (n_x, n_x), E
+    by_rate: Floats  # (n_x, n_x), G: change of the states by rates held for a step, s
+    observed: Floats  # (n_y, n_x), C
 
 
 class LinearizedRecord:
     """A simulated experiment with its derivatives by states, parameters and inputs.
 
-    Attributes
-    ----------
-    times : (K,) array
-        s.
-    states : tuple of str
-    trajectory : (K, n_x) array
-    outputs : (K, n_y) array
-        In units of the data.
-    rates : (P, n_x) array
-        ẋ at both ends of each interval.
-    ends : (P, n_y) array
-        Outputs at both ends of each interval.
-    observed : (P, n_y, n_x) array
-        ∂y/∂x.
-    by_parameter, by_input : (N or n_u, P, n_x) arrays
-        ∂ẋ/∂θ, ∂ẋ/∂u.
-    outputs_by_parameter, outputs_by_input : (N or n_u, P, n_y) arrays
-    initial_by_parameter : (N, n_x) array
+    At both ends of each interval, P = 2 (K − 1) points: `rates` ẋ (P, n_x), `ends` y (P, n_y), `observed` ∂y/∂x,
+    `by_parameter` and `by_input` ∂ẋ/∂θ and ∂ẋ/∂u (N or n_u, P, n_x), `outputs_by_…` likewise. `outputs` (K, n_y) and
+    `trajectory` (K, n_x) are at samples.
     """
 
     def __init__(self, simulator: Simulator, side: RightHandSide, theta: Floats, trajectory: Floats) -> None:

@@ -36,19 +36,10 @@ MAX_COMBINATIONS = 1000  # of discrete parameters; each needs an optimization
 
 @dataclass(frozen=True, eq=False)
 class ModelReference:
-    """Model of a result, for predictions; copies of the result lose it.
-
-    Attributes
-    ----------
-    system : System
-    values : mapping of str to float, int, bool or str
-        Fixed variables.
-    parameters : mapping of str to Parameter
-    step_size : float, optional
-    """
+    """Model of a result, for predictions; copies of the result lose it."""
 
     system: System
-    values: Mapping[str, Value]
+    values: Mapping[str, Value]  # fixed variables
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
     step_size: float | None = None
 

@@ -90,13 +90,7 @@ def find_process_noise(
 ) -> ProcessNoise | None:
     """Return the disturbance that explains residuals better than autoregressions; None without one.
 
-    Parameters
-    ----------
-    states : sequence of str
-    spaces : sequence of DiscreteStateSpace
-        Of each experiment.
-    residuals : sequence of (K, n_y) array
-        Of each experiment; NaN where a sample does not count.
+    Residuals (K, n_y) of each experiment are NaN where a sample does not count.
     """
     whole = np.concatenate(list(residuals))
     counted, spread = np.isfinite(whole).all(axis=1), np.sqrt(np.nanmean(whole**2, axis=0))

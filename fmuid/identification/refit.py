@@ -58,24 +58,12 @@ Fitted = tuple[list[ModelError], "CorrectedProblem", Result, tuple[Direction, ..
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """Result with model errors freed.
+    """Result with model errors freed."""
 
-    Attributes
-    ----------
-    problem : LeastSquares
-        The problem, with the freed errors as parameters.
-    result : Result
-        Of this problem; its last parameters are the sizes.
-    found : ModelErrors or None
-        Directed tests of this result.
-    excluded : tuple of DataDefect
-        Stretches of the record that do not count in it.
-    """
-
-    problem: LeastSquares
-    result: Result
-    found: ModelErrors | None
-    excluded: tuple[DataDefect, ...] = ()
+    problem: LeastSquares  # with the freed errors as parameters
+    result: Result  # of this problem; its last parameters are the sizes
+    found: ModelErrors | None  # directed tests of this result
+    excluded: tuple[DataDefect, ...] = ()  # stretches of the record that do not count in it
 
 
 class CorrectedPredictor:
@@ -173,18 +161,7 @@ def refit(problem: LeastSquares, result: Result, found: ModelErrors, progress: P
     """Identify again with the errors found as parameters.
 
     None if that does not converge, or no size is significant beside the noise that is left. Where inputs follow that
-    noise, the result stays, and errors have no names.
-
-    Parameters
-    ----------
-    problem : LeastSquares
-        As simulated for the result.
-    result : Result
-        Of this problem.
-    found : ModelErrors
-        Its directed tests, with errors.
-    progress : callable, optional
-        Called with every `fmuid.events.SearchStep`.
+    noise, the result stays, and errors have no names. Progress is called with every `SearchStep`.
     """
     again = _freed(problem, result, found, progress)
     last = found if again is None or again.found is None else again.found

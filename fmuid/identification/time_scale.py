@@ -41,24 +41,13 @@ class TimeScaleMismatch(Enum):
 
 @dataclass(frozen=True)
 class TimeScaleWarning:
-    """Recording whose time may be in another unit.
-
-    Attributes
-    ----------
-    kind : TimeScaleMismatch
-    source : str
-        The data file.
-    duration, step : float
-        Of the recording, s; the median step.
-    time_constant : float
-        Of the model, s: the slowest if the recording is too long, else the fastest.
-    """
+    """Recording whose time may be in another unit."""
 
     kind: TimeScaleMismatch
-    source: str
-    duration: float
-    step: float
-    time_constant: float
+    source: str  # the data file
+    duration: float  # of the recording, s
+    step: float  # median, s
+    time_constant: float  # of the model, s: the slowest if the recording is too long, else the fastest
 
 
 def doubt_of_time(simulator: Simulator, theta: Sequence[float]) -> TimeScaleWarning | None:

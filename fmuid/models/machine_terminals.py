@@ -24,28 +24,14 @@ Phasors = npt.NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class MachineTerminals:
-    """Variables of an FMU that are the terminals of a three-phase machine.
+    """Variables of an FMU that are the terminals of a three-phase machine."""
 
-    Attributes
-    ----------
-    voltages, currents : (str, str)
-        Inputs and outputs of the direct and the quadrature axis; the quadrature axis lags in the phasor.
-    speed : str
-        Input of the electrical speed, rad/s; "" without one.
-    axes : "rotor" or "stator"
-        To which the axes of the model are fixed.
-    transform : "power-invariant" or "amplitude-invariant"
-        Transform from phases to axes.
-    resistance : str
-        Parameter of the stator resistance; "" if unknown.
-    """
-
-    voltages: tuple[str, str]
-    currents: tuple[str, str]
-    speed: str = ""
-    axes: Literal["rotor", "stator"] = "rotor"
-    transform: Literal["power-invariant", "amplitude-invariant"] = "power-invariant"
-    resistance: str = ""
+    voltages: tuple[str, str]  # inputs of the direct and the quadrature axis, which lags in the phasor
+    currents: tuple[str, str]  # outputs, likewise
+    speed: str = ""  # input of the electrical speed, rad/s; "" without one
+    axes: Literal["rotor", "stator"] = "rotor"  # to which the axes of the model are fixed
+    transform: Literal["power-invariant", "amplitude-invariant"] = "power-invariant"  # transform from phases to axes
+    resistance: str = ""  # parameter of the stator resistance; "" if unknown
 
     @property
     def amplitude(self) -> float:

@@ -45,13 +45,7 @@ class LinearMessage(Message):
 
 
 def document(found: object) -> Document:
-    """Return the document of findings or of a single result.
-
-    Raises
-    ------
-    InputError
-        If there is none of this type.
-    """
+    """Return the document of findings or of a single result; `InputError` if there is none of this type."""
     match found:
         case IdentificationRun():
             return identification_document(found)

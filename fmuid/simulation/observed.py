@@ -55,27 +55,14 @@ Simulate = Callable[[Floats, Floats | None], Simulations]
 
 @dataclass(frozen=True, eq=False)
 class ObservedModel:
-    """A model over an experiment with an observation.
-
-    Attributes
-    ----------
-    experiment : Experiment
-    map : SensorMap
-    simulate : callable
-    names : tuple of str
-        Of theta: variables of the model and quantities of the map.
-    fixed : (q,) array
-        Values of all quantities that are not in theta.
-    gains : (n_inputs,) array, optional
-        Factors of inputs that are no voltages.
-    """
+    """A model over an experiment with an observation."""
 
     experiment: Experiment
     map: SensorMap
     simulate: Simulate
-    names: tuple[str, ...]
-    fixed: Floats
-    gains: Floats | None = None
+    names: tuple[str, ...]  # of theta: variables of the model and quantities of the map
+    fixed: Floats  # (q,), values of all quantities that are not in theta
+    gains: Floats | None = None  # (n_inputs,), factors of inputs that are no voltages
 
     @property
     def nominal_inputs(self) -> Floats:

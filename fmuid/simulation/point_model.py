@@ -59,43 +59,21 @@ class ModelOfPoints:
 
 @dataclass(frozen=True, eq=False)
 class StateSpace:
-    """Linear models of operating points, for thetas: ẋ = A x + B u, y = C x + D u.
+    """Linear models of operating points, for thetas: ẋ = A x + B u, y = C x + D u."""
 
-    Attributes
-    ----------
-    a : (m, K, n_x, n_x) array
-    b : (m, K, n_x, n_u) array
-    c : (m, K, n_y, n_x) array
-    d : (m, K, n_y, n_u) array
-    rates : (m, K, n_x) array
-        ẋ at the points.
-    outputs : (m, K, n_y) array
-    """
-
-    a: Floats
-    b: Floats
-    c: Floats
-    d: Floats
-    rates: Floats
-    outputs: Floats
+    a: Floats  # (m, K, n_x, n_x)
+    b: Floats  # (m, K, n_x, n_u)
+    c: Floats  # (m, K, n_y, n_x)
+    d: Floats  # (m, K, n_y, n_u)
+    rates: Floats  # (m, K, n_x), ẋ at the points
+    outputs: Floats  # (m, K, n_y)
 
 
 class PointModel:
     """Derivatives and outputs of one FMU about K operating points.
 
     Matrices are the FMU's directional derivatives where it has them and differences agree at first; else differences.
-
-    Parameters
-    ----------
-    model : ModelOfPoints
-    inputs : mapping of str to (K,) array
-        In `units`, or those of the FMU.
-    seeds : sequence of str
-        Inputs to differentiate by.
-    outputs : sequence of str
-        FMU variables.
-    units : mapping of str to str
-        Of inputs and outputs.
+    They are by the inputs `seeds`. Inputs (K,) are in `units`, or those of the FMU.
     """
 
     def __init__(

@@ -23,15 +23,7 @@ from fmuid.simulation.solver_refinement import by_model_exchange
 class PointSimulator(ABC):
     """Outputs of a model at operating points, by parameters; used like a `Simulator`.
 
-    Parameters
-    ----------
-    system : System
-    experiment : Experiment
-        Of another kind than ``"time"``.
-    parameters : sequence of str
-        Variables set by theta, in this order.
-    values : mapping of str to float, int, bool or str, optional
-        Variables held at a value; the experiment's take precedence.
+    Theta sets `parameters`, in this order. Values held by the experiment take precedence over `values`.
     """
 
     stiff: frozenset[str] = frozenset()

@@ -218,16 +218,7 @@ SETTLING = SettlingSettings()
 
 
 class SettledSimulation:
-    """Outputs after constant inputs, a row each.
-
-    Parameters
-    ----------
-    model : ModelOfPoints
-    inputs : mapping of str to (K,) array
-    outputs : sequence of str
-    units : mapping of str to str
-        Of the inputs.
-    """
+    """Outputs after constant inputs (K,) in `units`, a row each."""
 
     def __init__(
         self, model: ModelOfPoints, inputs: Mapping[str, Floats], outputs: Sequence[str], units: Mapping[str, str]

@@ -82,14 +82,7 @@ class NoiseModel:
 
 
 def common_process(parts: Sequence[tuple[OutputSeries, Floats]], variance: float | None = None) -> Autoregression:
-    """Return the common process of several unfitted residuals of one output.
-
-    Parameters
-    ----------
-    parts : sequence of (OutputSeries, (n,) array)
-    variance : float, optional
-        Given noise variance.
-    """
+    """Return the common process of several unfitted residuals (n,) of one output; its variance may be given."""
     if all(series.ordered for series, _ in parts):
         # a gap between records
         whole = np.concatenate([np.append(series.on_grid(values), np.nan) for series, values in parts])

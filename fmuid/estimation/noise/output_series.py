@@ -80,14 +80,7 @@ class OutputSeries:
 
 
 def output_series(experiments: Sequence[Experiment], outputs: Sequence[str]) -> tuple[OutputSeries, ...]:
-    """Return the series of all counted samples, by experiment and output.
-
-    Parameters
-    ----------
-    experiments : sequence of Experiment
-    outputs : sequence of str
-        Outputs of the problem.
-    """
+    """Return the series of all counted samples, by experiment and output."""
     found: list[OutputSeries] = []
     pools: dict[tuple[str, int, int, bool], int] = {}
     first = grids = 0

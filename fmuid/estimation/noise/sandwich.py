@@ -49,24 +49,12 @@ SETTINGS = SandwichSettings()
 
 @dataclass(frozen=True, eq=False)
 class ResidualNoise:
-    """Noise of all rows of data.
+    """Noise of all rows of data."""
 
-    Attributes
-    ----------
-    models : tuple of NoiseModel
-        By experiment and output.
-    innovations : tuple of (m, m) arrays
-        Covariance S of the innovations of each grid's series.
-    returning : tuple of PeriodicError
-        Periodic errors.
-    levels : (n,) array or None
-        Relative std of each row where the noise is uneven.
-    """
-
-    models: tuple[NoiseModel, ...]
-    innovations: tuple[Floats, ...]
+    models: tuple[NoiseModel, ...]  # by experiment and output
+    innovations: tuple[Floats, ...]  # (m, m), covariance S of each grid's series
     returning: tuple[PeriodicError, ...] = ()
-    levels: Floats | None = None
+    levels: Floats | None = None  # (n,), relative std of each row where the noise is uneven
 
     def gram(self, columns: Floats) -> Floats:
         """Return XᵀΓX (k, k) of columns X (n, k)."""
@@ -97,15 +85,8 @@ def sandwich_of(
 ) -> SandwichCovariance:
     """Return the covariance of a problem's estimates under colored noise.
 
-    Parameters
-    ----------
-    problem : LeastSquares
-    local : LinearizedProblem
-        At the estimate.
-    rounding : (n_outputs,) array of bool
-        Outputs with nothing but rounding and simulation noise in the residual.
-    uneven : bool
-        Fit variances that follow the signal.
+    Outputs with `rounding` (n_outputs,) have nothing but rounding and simulation noise in the residual. `uneven` fits
+    variances that follow the signal.
     """
     root, given = local.root, ~np.isnan(problem.variance)
     # the influence function of a robust loss has the residual's own scale

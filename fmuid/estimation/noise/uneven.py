@@ -29,15 +29,7 @@ SETTINGS = UnevenNoiseSettings()
 
 
 def uneven_levels(models: Sequence[NoiseModel], residual: Floats, simulated: Floats) -> Floats | None:
-    """Return the relative std of each row (n,), None if constant.
-
-    Parameters
-    ----------
-    models : sequence of NoiseModel
-        By experiment and output.
-    residual, simulated : (n,) arrays
-        Of all counted samples.
-    """
+    """Return the relative std (n,) of rows by experiment and output; None if constant."""
     found, any_uneven = np.ones(len(residual)), False
     for each in models:
         rows = each.series.rows

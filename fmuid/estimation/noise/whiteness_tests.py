@@ -55,18 +55,10 @@ def ljung_box(correlations: Floats, pairs: Floats) -> tuple[float, float]:
 
 @dataclass(frozen=True, eq=False)
 class FitProjection:
-    """Fitted part of one output's noise e: C_a Σ_b C_bᵀ e_b over all outputs.
+    """Fitted part of one output's noise e: C_a Σ_b C_bᵀ e_b over all outputs."""
 
-    Attributes
-    ----------
-    columns : (n, k) array
-        C_a = J_a R, R Rᵀ the covariance for white noise.
-    gram : (k, k) array
-        Σ_b C_bᵀ C_b.
-    """
-
-    columns: Floats
-    gram: Floats
+    columns: Floats  # (n, k), C_a = J_a R, R Rᵀ the covariance for white noise
+    gram: Floats  # (k, k), Σ_b C_bᵀ C_b
 
     @classmethod
     def nothing(cls, count: int) -> FitProjection:
@@ -117,16 +109,9 @@ class WhitenessTest:
 
 
 def whiteness(grid: Floats, taken: FitProjection) -> WhitenessTest:
-    """Test a residual for whiteness.
+    """Test a residual on a grid (m,) for whiteness; missing samples are NaN.
 
     χ² in long records, else a scaled χ² with mean and variance from seeded draws (Satterthwaite).
-
-    Parameters
-    ----------
-    grid : (m,) array
-        Not constant; NaN if a sample is missing.
-    taken : FitProjection
-        Of the fit.
     """
     there = np.isfinite(grid)
     count, most = int(there.sum()), len(grid) - 1
@@ -183,35 +168,18 @@ def normality(values: Floats, noise: NoiseModel) -> NormalityTest:
 
 @dataclass(frozen=True, eq=False)
 class CrossCorrelation:
-    """Correlation of two series over several lags.
+    """Correlation of two series over several lags."""
 
-    Attributes
-    ----------
-    values : (lags + 1,) array
-        NaN if unknown.
-    std : float
-        Of each value for unrelated series.
-    strongest : int
-        Lag of the largest magnitude.
-    probability : float
-        Probability of such a magnitude by chance at any lag.
-    """
-
-    values: Floats
-    std: float
-    strongest: int
-    probability: float
+    values: Floats  # (lags + 1,), NaN if unknown
+    std: float  # of each value for unrelated series
+    strongest: int  # lag of the largest magnitude
+    probability: float  # of such a magnitude by chance at any lag
 
 
 class LaggedSeries:
-    """A series with its lags, to correlate others with.
+    """A series on its grid (g,), to correlate others with.
 
-    Parameters
-    ----------
-    lagged : (n, lags + 1) array
-        Values at each sample's time minus each lag, NaN before the beginning.
-    grid : (g,) array
-        The series on its grid, not constant.
+    `lagged` (n, lags + 1) has its values at each sample's time minus each lag, NaN before the beginning.
     """
 
     def __init__(self, lagged: Floats, grid: Floats) -> None:

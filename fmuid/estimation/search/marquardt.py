@@ -50,20 +50,11 @@ class MarquardtSettings:
 
 @dataclass(frozen=True)
 class Descent:
-    """Levenberg–Marquardt method for `iterate`.
-
-    Parameters
-    ----------
-    settings : MarquardtSettings
-    rough : bool
-        Stop as soon as the noise variances hardly change any more.
-    known : callable, optional
-        Maps theta (N,) and residual (n_rows,) to a nearby Jacobian, used far from the optimum.
-    """
+    """Levenberg–Marquardt method for `iterate`."""
 
     settings: MarquardtSettings
-    rough: bool = False
-    known: Known | None = None
+    rough: bool = False  # stop as soon as the noise variances hardly change any more
+    known: Known | None = None  # maps theta (N,) and residual (n_rows,) to a nearby Jacobian, used far from the optimum
 
     def begin(self, function: ResidualFunction, state: State) -> State:
         """Return the first state."""

@@ -172,51 +172,23 @@ class Stagnation:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """State of an optimization after a step.
+    """State of an optimization after a step."""
 
-    Attributes
-    ----------
-    theta, residual : arrays
-        Best point and its residual.
-    jacobian : (n_rows, N) array
-        Jacobian in use.
-    central : bool
-        True if the Jacobian is by central differences.
-    fresh : bool
-        True if the Jacobian belongs to theta.
-    borrowed : bool
-        True if the Jacobian belongs to a neighboring cell center.
-    iterations : int
-        Number of trial steps.
-    outcome : TerminationReason or None
-        None before the end.
-    held : (N,) array of bool
-        Parameters that the cost pushes against a bound.
-    last : Iteration or None
-        Last step.
-    linear : LinearModel or None
-        By the Jacobian in use; None before the search.
-    region, way, stagnation
-        Of the search.
-    gained : (N,) array and float
-        Largest parameters up to the last gain of the fit, and the cost then.
-    """
-
-    theta: Floats
-    residual: Floats
-    jacobian: Floats
-    central: bool = True
-    fresh: bool = True
-    borrowed: bool = False
-    iterations: int = 0
-    outcome: TerminationReason | None = None
-    held: Flags = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    theta: Floats  # (N,), best point
+    residual: Floats  # (n_rows,), there
+    jacobian: Floats  # (n_rows, N), in use
+    central: bool = True  # the Jacobian is by central differences
+    fresh: bool = True  # the Jacobian belongs to theta
+    borrowed: bool = False  # the Jacobian belongs to a neighboring cell center
+    iterations: int = 0  # trial steps
+    outcome: TerminationReason | None = None  # None before the end
+    held: Flags = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))  # (N,), pushed against a bound
     last: Iteration | None = None
-    linear: LinearModel | None = None
+    linear: LinearModel | None = None  # by the Jacobian in use; None before the search
     region: TrustRegion = field(default_factory=lambda: TrustRegion.of(0.0))
     way: Way = Way()
     stagnation: Stagnation = Stagnation()
-    gained: tuple[Floats, float] = (np.zeros(0), math.inf)
+    gained: tuple[Floats, float] = (np.zeros(0), math.inf)  # largest parameters (N,) and cost at the last gain
 
     @cached_property
     def square(self) -> float:

@@ -67,24 +67,12 @@ def _upper(rows: int, columns: int) -> Flags:
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
-    """Residual near a point, ‖R p + q‖ for a step p.
+    """Residual near a point, ‖R p + q‖ for a step p."""
 
-    Attributes
-    ----------
-    reduced : (k, N+1) array
-        [R q] of `triangle`.
-    lengths : (N,) array
-        Diagonal of D.
-    least : float
-        Singular values of R D⁻¹ up to this one count as zero.
-    decomposed : U, S and Vᵀ, optional
-        SVD of R D⁻¹.
-    """
-
-    reduced: Floats
-    lengths: Floats
-    least: float = 0.0
-    decomposed: Decomposed | None = None
+    reduced: Floats  # (k, N+1), [R q] of `triangle`
+    lengths: Floats  # (N,), diagonal of D
+    least: float = 0.0  # singular values of R D⁻¹ up to this one count as zero
+    decomposed: Decomposed | None = None  # SVD of R D⁻¹
 
     def length(self, step: Floats) -> float:
         """Return ‖D p‖ of a step p (N,)."""

@@ -21,14 +21,7 @@ CellText = Callable[[Variable], str]
 
 
 def facts_document(found: FmuSummary, width: int | None = None) -> Document:
-    """Return the declarations of an FMU and a first study.
-
-    Parameters
-    ----------
-    found : FmuSummary
-    width : int, optional
-        Columns of the terminal; default: no limits.
-    """
+    """Return the declarations of an FMU and a first study; without a terminal's width, whole texts."""
     described = found.fmu.description
     head = table_of_rows(("", " "), _declared(found), (" ",))
     sections = [Section("declarations", "", table=head)]
