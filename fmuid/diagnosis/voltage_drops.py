@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from fmuid.array_types import Floats
-from fmuid.simulation import ObservedModel
+from fmuid.simulation import AndersonMixing, ObservedModel
 
 
 @dataclass(frozen=True)
@@ -16,7 +16,7 @@ class VoltageDropSettings:
     """Numbers of the drops' feedback in derivatives."""
 
     settled: float = 1e-5  # of the derivative; its square is below the least difference of two signatures
-    most: int = 20  # terms; a drop that settles has fewer
+    most: int = 60  # simulations; a drop that settles needs fewer
     step: float = 1e-3  # of a difference, of the largest input
     current_step: float = 1e-4  # of the largest current: small beside the width of its sign
 
@@ -26,7 +26,7 @@ SETTINGS = VoltageDropSettings()
 
 @dataclass(frozen=True, eq=False)
 class VoltageDrops:
-    """Feedback of a derivative through the voltages that lines lose: a series of responses, each smaller."""
+    """Feedback of a derivative through the voltages that lines lose: the fixed point of slope + response."""
 
     observed: ObservedModel
     theta: Floats  # of the model
@@ -36,19 +36,20 @@ class VoltageDrops:
 
     def closed(self, slope: Floats) -> Floats:
         """Return a derivative (K, n_model) with the drops' own change."""
-        term, whole = slope, slope
+        whole, mixing, last = slope, AndersonMixing(), np.abs(slope).max()
         for _ in range(SETTINGS.most):
-            change = self._change(self.observed.currents(term))
+            change = self._change(self.observed.currents(whole))
             largest = np.abs(change).max()
             if largest == 0.0:
                 break
             step = SETTINGS.step * np.abs(self.inputs).max() / largest
             moved = self.observed.simulate(self.theta[None], self.inputs + step * change).checked()[0]
-            last, term = np.abs(term).max(), (moved - self.outputs) / step
-            whole = whole + term
-            # the next term is as much smaller again
-            if np.abs(term).max() ** 2 <= SETTINGS.settled * last * np.abs(whole).max():
-                break
+            closed = slope + (moved - self.outputs) / step
+            off = np.abs(closed - whole).max()
+            # the next one is off by as much less again
+            if off**2 <= SETTINGS.settled * last * np.abs(closed).max():
+                return np.asarray(closed)
+            whole, last = mixing.next(whole, closed), off
         return whole
 
     def _change(self, currents: Floats) -> Floats:

@@ -8,6 +8,7 @@ from .isolation.host import FmuHost as FmuHost
 from .isolation.host import HostManager as HostManager
 from .isolation.isolated_executor import printed as printed
 from .isolation.server import watch as watch
+from .observed import AndersonMixing as AndersonMixing
 from .observed import ObservedModel as ObservedModel
 from .output_fit import InputSignals as InputSignals
 from .output_fit import OutputFit as OutputFit

@@ -46,11 +46,29 @@ class DropSettings:
 
     tolerance: float = 1e-10  # of the largest current
     most: int = 60  # simulations
+    mixed: int = 20  # iterates that are extrapolated
 
 
 SETTINGS = DropSettings()
 Simulate = Callable[[Floats, Floats | None], Simulations]
 """Simulates thetas of the model (m, N) with its own inputs, or others (K, n_inputs)."""
+
+
+class AndersonMixing:
+    """Extrapolation of a fixed point from its latest iterates (D. G. Anderson, J. ACM 12, 1965)."""
+
+    def __init__(self) -> None:
+        self._points: list[Floats] = []
+        self._images: list[Floats] = []
+
+    def next(self, point: Floats, image: Floats) -> Floats:
+        """Return the next point after one and its image, of any shape."""
+        self._points = [*self._points, point.ravel()][-SETTINGS.mixed :]
+        self._images = [*self._images, image.ravel()][-SETTINGS.mixed :]
+        images = np.array(self._images)
+        off = images - np.array(self._points)
+        weights = np.linalg.lstsq(np.diff(off, axis=0).T, off[-1], rcond=None)[0]
+        return np.asarray((images[-1] - weights @ np.diff(images, axis=0)).reshape(image.shape))
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +129,7 @@ class ObservedModel:
             if found.errors[0] is not None or not values[self.map.has_drop].any():
                 return found, inputs
             before = self.currents(found.outputs[0])
+        mixing = AndersonMixing()  # a dead time at zero current is a large resistance: plain iteration may not settle
         for _ in range(SETTINGS.most):
             inputs = self.inputs(lines - self.map.drop(values, before))
             found = self.simulate(theta[None], inputs)
@@ -119,7 +138,7 @@ class ObservedModel:
             now = self.currents(found.outputs[0])
             if np.abs(now - before).max() <= SETTINGS.tolerance * np.abs(now).max():
                 return found, inputs
-            before = now
+            before = mixing.next(before, now)
         sizes = zip(np.array(self.map.given.names)[self.map.has_drop], values[self.map.has_drop].tolist(), strict=True)
         text = "voltages that depend on the currents do not settle"
         error = SimulationError(self.experiment.source, np.nan, {str(name): size for name, size in sizes}, text)

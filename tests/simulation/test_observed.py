@@ -30,6 +30,8 @@ def simulator(*more: str, observation: Observation = STUDY_AXES) -> fmuid.Simula
     ("errors", "changed", "left"),
     [
         ({"dead_time": 2.0}, {"dead_time_voltage": 2.0}, 0.03),
+        # a tenth of the voltage: beside zero current the drop is a resistance of 40 times R_s
+        ({"dead_time": 10.0}, {"dead_time_voltage": 10.0}, 0.05),
         pytest.param(
             {"joint": (0.9, 0.0, 0.3)}, {"phase_resistance": {"a": 0.9, "c": 0.3}}, 0.005, marks=pytest.mark.slow
         ),
