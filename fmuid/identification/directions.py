@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
@@ -19,7 +20,6 @@ from fmuid.identification.linearized_record import Forcing, LinearizedRecord, bo
 from fmuid.identification.model_errors import CHANGING, Direction, ErrorKind, Sizes
 from fmuid.identification.output_directions import (
     SETTINGS,
-    DirectionColumn,
     fixed_columns,
     only_in,
     rms_of,
@@ -42,7 +42,7 @@ def model_directions(
     theta, simulated = result.values, result.fit.simulated
     levels = local.levels
     jacobian = -local.jacobian * levels[:, None]
-    found: dict[tuple[ErrorKind, tuple[str, ...]], dict[int, DirectionColumn]] = {}
+    found: dict[tuple[ErrorKind, tuple[str, ...]], dict[int, Direction]] = {}
     slopes = [problem.tables(problem.unscaled(column)) for column in jacobian.T]
     for index, simulator in enumerate(simulators):
         columns = problem.parameters.for_experiment(index)[1]
@@ -59,7 +59,7 @@ def model_directions(
     empty = [np.zeros(each.output_values.shape) for each in problem.experiments]
     directions = []
     for (kind, subject), parts in found.items():
-        tables = [parts[i].table if i in parts else zeros for i, zeros in enumerate(empty)]
+        tables = [parts[i].column if i in parts else zeros for i, zeros in enumerate(empty)]
         first = next(iter(parts.values()))
         usual = float(np.mean([each.usual for each in parts.values()]))
         column = problem.stacked(tables)
@@ -70,7 +70,7 @@ def model_directions(
             column = column - jacobian[:, i] * (local.root @ (local.root.T @ (jacobian.T @ (column / levels**2))))[i]
         is_free = kind is ErrorKind.INITIAL_STATE and _is_along(column / levels, jacobian / levels[:, None])
         if np.isfinite(column).all() and column.any() and not is_free:
-            directions.append(Direction(kind, subject, first.unit, usual, first.one_sided, first.value, column))
+            directions.append(replace(first, usual=usual, column=column))
     return tuple(directions)
 
 
@@ -82,7 +82,7 @@ def _is_along(column: Floats, others: Floats) -> bool:
 
 def _columns(
     simulator: Simulator, theta: Floats, simulated: Floats, slopes: Floats, experiments: int, sizes: Sizes
-) -> Iterator[DirectionColumn]:
+) -> Iterator[Direction]:
     """Yield the directions over one experiment."""
     experiment = simulator.experiment
     known, names = {**experiment.of_model.units, **experiment.units}, experiment.of_model.columns | experiment.columns
@@ -99,7 +99,7 @@ def _columns(
     forced += _of_initial_states(record, simulator, experiments)
     tables = simulator.seen(record.response([each[1] for each in forced]), theta)
     for (made, _), table in zip(forced, tables, strict=True):
-        yield DirectionColumn(made.kind, made.subject, made.unit, made.usual, table, made.one_sided)
+        yield replace(made, column=table)
 
 
 def _agrees(simulator: Simulator, theta: Floats, linearized: Floats, slopes: Floats) -> bool:
@@ -125,7 +125,7 @@ def _differs(own: Floats, other: Floats) -> bool:
 
 def _of_slopes(
     record: LinearizedRecord, simulator: Simulator, theta: Floats, units: Mapping[str, str], sizes: Sizes
-) -> Iterator[DirectionColumn]:
+) -> Iterator[Direction]:
     """Yield errors that follow the slopes of outputs: delays, lags, slow clocks (secants), hysteresis.
 
     In samples, of all outputs and of each.
@@ -144,12 +144,12 @@ def _of_slopes(
             table = np.zeros(outputs.shape)
             size = sizes.get((kind, subject), math.nan)
             table[:, columns] = _secant(kind, outputs[:, columns], middle[:, columns], elapsed, size)
-            yield DirectionColumn(kind, subject, "samples", SETTINGS.delay, table, kind is not ErrorKind.CLOCK)
+            yield Direction(kind, subject, "samples", SETTINGS.delay, kind is not ErrorKind.CLOCK, column=table)
     for j, (name, rises) in enumerate(zip(names, np.diff(outputs, axis=0, prepend=outputs[:1]).T, strict=True)):
         usual = SETTINGS.share * rms_of(outputs[:, j])
         if rises.any():
             against = only_in(outputs.shape, j, -signs(rises[:, None])[:, 0])
-            yield DirectionColumn(ErrorKind.HYSTERESIS, (name,), units[name], usual, against)
+            yield Direction(ErrorKind.HYSTERESIS, (name,), units[name], usual, column=against)
 
 
 def _secant(kind: ErrorKind, outputs: Floats, middle: Floats, elapsed: Floats, size: float) -> Floats:
@@ -197,12 +197,6 @@ def _lagging(outputs: Floats, middle: Floats, samples: float) -> Floats:
     return np.asarray(dtbtrs(banded, driven, uplo="L")[0][::2] + outputs[0])
 
 
-def _made(
-    kind: ErrorKind, subject: tuple[str, ...], unit: str, usual: float, one_sided: bool = False
-) -> DirectionColumn:
-    return DirectionColumn(kind, subject, unit, usual, np.zeros((0, 0)), one_sided)
-
-
 def _input_change(record: LinearizedRecord, column: int, change: Floats) -> Forcing:
     """Return the forcing of a change (P,) of an input."""
     direct = record.at_samples(record.outputs_by_input[column] * change[:, None])
@@ -217,7 +211,7 @@ def _sum_of(parts: Sequence[Forcing]) -> Forcing:
 
 def _of_inputs(
     record: LinearizedRecord, simulated: Floats, units: Mapping[str, str]
-) -> Iterator[tuple[DirectionColumn, Forcing]]:
+) -> Iterator[tuple[Direction, Forcing]]:
     """Yield errors of the inputs; interpolation also of all that are held, or are not."""
     experiment, alike = record.experiment, dict[bool, dict[str, Forcing]]()
     for j, name in enumerate(experiment.input_names):
@@ -226,26 +220,26 @@ def _of_inputs(
             continue
         usual, one = SETTINGS.share * rms_of(values), np.ones(len(ends))
         # what a sensor reads too much the model gets too much
-        yield _made(ErrorKind.INPUT_OFFSET, (name,), units[name], usual), _input_change(record, j, -one)
-        yield _made(ErrorKind.INPUT_GAIN, (name,), "", SETTINGS.share), _input_change(record, j, -ends)
+        yield Direction(ErrorKind.INPUT_OFFSET, (name,), units[name], usual), _input_change(record, j, -one)
+        yield Direction(ErrorKind.INPUT_GAIN, (name,), "", SETTINGS.share), _input_change(record, j, -ends)
         rise, between = np.diff(values), np.zeros(len(ends))
         if not rise.any():
             continue
         between[1::2] = rise if experiment.held[j] else -rise  # linear in place of held, or held in place of linear
         changed = _input_change(record, j, between)
         alike.setdefault(bool(experiment.held[j]), {})[name] = changed
-        yield _made(ErrorKind.INTERPOLATION, (name,), "", 1.0, True), changed
+        yield Direction(ErrorKind.INTERPOLATION, (name,), "", 1.0, True), changed
         if len(experiment.input_names) > 1:
             yield from _input_delays(record, j, rise)
     for parts in alike.values():
         if len(parts) > 1:
-            yield _made(ErrorKind.INTERPOLATION, tuple(parts), "", 1.0, True), _sum_of(list(parts.values()))
+            yield Direction(ErrorKind.INTERPOLATION, tuple(parts), "", 1.0, True), _sum_of(list(parts.values()))
     yield from _dead_times(record, simulated, units)
 
 
 def _of_lines(
     record: LinearizedRecord, simulator: Simulator, simulated: Floats, units: Mapping[str, str]
-) -> Iterator[tuple[DirectionColumn, Forcing]]:
+) -> Iterator[tuple[Direction, Forcing]]:
     """Yield errors of line voltages, and of the inputs that are none."""
     observed = simulator.observed
     assert observed is not None, "an observation was asked for"
@@ -257,31 +251,34 @@ def _of_lines(
         if made.kind is ErrorKind.INTERPOLATION or not voltages & set(made.subject):
             yield made, forcing
     places = [experiment.input_names.index(name) for name in observed.map.given.voltages]
-    for each in line_errors(observed.map, currents):
-        changes = both_ends(each.change)
+    for made, change in line_errors(observed.map, currents):
+        changes = both_ends(change)
         if observed.map.held:
             changes[1::2] = changes[::2]
         parts = [_input_change(record, j, changes[:, k]) for k, j in enumerate(places)]
-        yield _made(each.kind, each.subject, each.unit, SETTINGS.share * each.size), _sum_of(parts)
+        yield made, _sum_of(parts)
 
 
-def _input_delays(record: LinearizedRecord, column: int, rise: Floats) -> Iterator[tuple[DirectionColumn, Forcing]]:
+def _input_delays(record: LinearizedRecord, column: int, rise: Floats) -> Iterator[tuple[Direction, Forcing]]:
     """Yield the delay of an input by a sample; of a held one it moves impulses."""
     subject = (record.experiment.input_names[column],)
     if not record.experiment.held[column]:
         change = -np.repeat(rise, 2)
-        yield _made(ErrorKind.INPUT_DELAY, subject, "samples", SETTINGS.delay), _input_change(record, column, change)
+        yield (
+            Direction(ErrorKind.INPUT_DELAY, subject, "samples", SETTINGS.delay),
+            _input_change(record, column, change),
+        )
         return
     slope, h, none = record.by_input[column], np.diff(record.times)[:, None], np.zeros_like(record.rates)
     before, after = np.concatenate([[0.0], rise[:-1]]), rise
-    late, early = -h * slope[::2] * before[:, None], h * slope[1::2] * after[:, None]
-    yield _made(ErrorKind.INPUT_DELAY, subject, "samples", SETTINGS.delay, True), Forcing(none, begin=late)
-    yield _made(ErrorKind.INPUT_ADVANCE, subject, "samples", SETTINGS.delay, True), Forcing(none, end=early)
+    begin, end = -h * slope[::2] * before[:, None], h * slope[1::2] * after[:, None]
+    yield Direction(ErrorKind.INPUT_DELAY, subject, "samples", SETTINGS.delay, True), Forcing(none, begin=begin)
+    yield Direction(ErrorKind.INPUT_ADVANCE, subject, "samples", SETTINGS.delay, True), Forcing(none, end=end)
 
 
 def _dead_times(
     record: LinearizedRecord, simulated: Floats, units: Mapping[str, str]
-) -> Iterator[tuple[DirectionColumn, Forcing]]:
+) -> Iterator[tuple[Direction, Forcing]]:
     """Yield dead times of inputs, alone and along their common vector; a refit has corrected the outputs."""
     experiment, ends = record.experiment, both_ends(simulated)
     pairs = {
@@ -293,7 +290,7 @@ def _dead_times(
         name, output = experiment.input_names[j], experiment.output_names[k]
         sign = -signs(ends[:, [k]])[:, 0]
         usual = SETTINGS.share * rms_of(experiment.input_values[:, j])
-        yield _made(ErrorKind.DEAD_TIME, (name, output), units[name], usual), _input_change(record, j, sign)
+        yield Direction(ErrorKind.DEAD_TIME, (name, output), units[name], usual), _input_change(record, j, sign)
     for unit in dict.fromkeys(units[experiment.input_names[j]] for j in pairs):
         own = {j: k for j, k in pairs.items() if units[experiment.input_names[j]] == unit}
         if len(own) < 2 or len(set(own.values())) < len(own):
@@ -302,7 +299,7 @@ def _dead_times(
         parts = [_input_change(record, j, along[:, i]) for i, j in enumerate(own)]
         names = tuple(experiment.input_names[j] for j in own) + tuple(experiment.output_names[k] for k in own.values())
         usual = SETTINGS.share * rms_of(experiment.input_values[:, list(own)])
-        yield _made(ErrorKind.DEAD_TIME, names, unit, usual), _sum_of(parts)
+        yield Direction(ErrorKind.DEAD_TIME, names, unit, usual), _sum_of(parts)
 
 
 def make_power(one: str, other: str) -> bool:
@@ -333,7 +330,7 @@ def driven_outputs(record: LinearizedRecord) -> dict[int, int]:
 
 def _of_parameters(
     record: LinearizedRecord, simulator: Simulator, units: Mapping[str, str]
-) -> Iterator[tuple[DirectionColumn, Forcing]]:
+) -> Iterator[tuple[Direction, Forcing]]:
     """Yield parameters that depend on amplitudes, or change in time."""
     times = both_ends(record.times)
     ramp = (times - times.mean()) / np.ptp(times)
@@ -362,15 +359,15 @@ def _of_parameters(
             rates = size * record.by_parameter[i] * signal[:, None]
             direct = record.at_samples(size * record.outputs_by_parameter[i] * signal[:, None])
             if rates.any() or direct.any():
-                yield _made(kind, (parameter, *names), "", usual), Forcing(rates, direct)
+                yield Direction(kind, (parameter, *names), "", usual), Forcing(rates, direct)
 
 
 def _of_initial_states(
     record: LinearizedRecord, simulator: Simulator, experiments: int
-) -> Iterator[tuple[DirectionColumn, Forcing]]:
+) -> Iterator[tuple[Direction, Forcing]]:
     """Yield the initial value of each state, of each experiment."""
     for name, axis, values in zip(record.states, np.eye(len(record.states)), record.trajectory.T, strict=True):
         usual = SETTINGS.initial * max(float(np.ptp(values)), 1e-300)
         subject = (name,) if experiments == 1 else (name, simulator.experiment.name)
-        made = _made(ErrorKind.INITIAL_STATE, subject, simulator.system.unit(name) or "", usual)
+        made = Direction(ErrorKind.INITIAL_STATE, subject, simulator.system.unit(name) or "", usual)
         yield made, Forcing(np.zeros_like(record.rates), initial=axis)

@@ -3,34 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.data import LINES, SensorMap
-from fmuid.identification.model_errors import ErrorKind
-
-
-@dataclass(frozen=True)
-class LineSettings:
-    """Usual errors of lines."""
-
-    joint: float = 0.5  # of the usual share of other errors: a joint is some per mille of the impedance
-
-
-LINE = LineSettings()
-
-
-@dataclass(frozen=True, eq=False)
-class LineError:
-    """One unit of an error of line voltages."""
-
-    kind: ErrorKind
-    subject: tuple[str, ...]
-    unit: str
-    size: float  # magnitude of which usual errors are a share
-    change: Floats  # (K, 2), of the voltages of the axes, V
+from fmuid.identification.model_errors import Direction, ErrorKind
+from fmuid.identification.output_directions import SETTINGS, rms_of
 
 
 def is_estimated(kind: ErrorKind, subject: tuple[str, ...], parameters: tuple[str, ...]) -> bool:
@@ -43,13 +22,16 @@ def is_estimated(kind: ErrorKind, subject: tuple[str, ...], parameters: tuple[st
     return len(subject) == 1 and f"{own}({subject[0]})" in parameters
 
 
-def line_errors(made: SensorMap, currents: Floats) -> Iterator[LineError]:
-    """Yield errors of line voltages at simulated currents (K, 2)."""
+def line_errors(made: SensorMap, currents: Floats) -> Iterator[tuple[Direction, Floats]]:
+    """Yield errors of line voltages at simulated currents (K, 2).
+
+    Their changes (K, 2) are those of the axes' voltages.
+    """
     columns, names = made.given.voltage_columns, made.given.names
     lines, nominal = made.lines(np.array(made.given.values)), np.zeros(len(names))
     sensors = {line: name for name, line in made.given.current_sensors.items()}
     currents_of_lines = tuple(sensors.get(k, f"current {line}") for k, line in enumerate(LINES))
-    voltage, current = (max(float(np.sqrt(np.mean(each**2))), 1e-300) for each in (lines, currents))
+    voltage, joint = rms_of(lines), SETTINGS.joint * rms_of(lines) / rms_of(currents)
 
     def drop(name: str) -> Floats:
         values = nominal.copy()
@@ -59,12 +41,12 @@ def line_errors(made: SensorMap, currents: Floats) -> Iterator[LineError]:
     for k, column in enumerate(columns):
         own = np.zeros_like(lines)
         own[:, k] = -lines[:, k]  # what a sensor reads too much the model gets too much
-        yield LineError(ErrorKind.INPUT_GAIN, (column,), "", 1.0, made.axes(own))
+        yield Direction(ErrorKind.INPUT_GAIN, (column,), "", SETTINGS.share), made.axes(own)
         own[:, k] = -1.0
-        yield LineError(ErrorKind.INPUT_OFFSET, (column,), "V", voltage, made.axes(own))
+        yield Direction(ErrorKind.INPUT_OFFSET, (column,), "V", SETTINGS.share * voltage), made.axes(own)
     for column, line in zip(columns, LINES, strict=False):
         name = f"phase_resistance({line})"
-        yield LineError(ErrorKind.JOINT, (column,), "Ohm", LINE.joint * voltage / current, drop(name))
+        yield Direction(ErrorKind.JOINT, (column,), "Ohm", SETTINGS.share * joint), drop(name)
     if columns:
         subject = (*columns, *currents_of_lines)
-        yield LineError(ErrorKind.DEAD_TIME, subject, "V", voltage, drop("dead_time_voltage"))
+        yield Direction(ErrorKind.DEAD_TIME, subject, "V", SETTINGS.share * voltage), drop("dead_time_voltage")

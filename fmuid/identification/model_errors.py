@@ -130,7 +130,7 @@ class Direction:
     value : float
         Assumed value of a fixed parameter, else NaN.
     column : (n,) array
-        Change of the counted samples by one unit.
+        Change of the counted samples by one unit; over one experiment (K, n_y).
     """
 
     kind: ErrorKind

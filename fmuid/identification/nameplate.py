@@ -106,20 +106,8 @@ def nameplate_prior(
 ) -> JointPrior:
     """Return the parameters that a nameplate gives, as a prior.
 
-    Parameters
-    ----------
-    system : System
-        One FMU with a declaration beside it, ``<Model>.nameplate.toml``.
-    plate : Nameplate
-    names : sequence of str
-        Free parameters; default: all of the declaration's starts.
-    values : mapping of str to float, int, bool or str, optional
-        Fixed variables.
-
-    Raises
-    ------
-    InputError
-        If there is no declaration, or no machine with such a nameplate.
+    The system is one FMU with a declaration beside it, ``<Model>.nameplate.toml``. Free parameters are by default all
+    of the declaration's starts. `InputError`: there is no declaration, or no machine with such a nameplate.
     """
     declared = machine_of(system)
     if declared is None or not declared.starts:

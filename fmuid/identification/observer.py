@@ -21,19 +21,9 @@ from fmuid.simulation import RightHandSide, Simulator
 def with_observer(problem: Problem, samples: float = 3.0) -> Problem:
     """Return a problem with a state observer, corrected at each sample.
 
-    The result says so (`Setup.observer`). There are no solver check and no restarts.
-
-    Parameters
-    ----------
-    problem : Problem
-        Of a single Model Exchange FMU with one output that observes all states.
-    samples : float
-        Time constant of the observer, in (median) sampling intervals.
-
-    Raises
-    ------
-    InputError
-        If the model shows no right-hand side, has several outputs, unobservable states, or discrete parameters.
+    Its time constant is in (median) sampling intervals. The model is a single Model Exchange FMU with one output that
+    observes all states; else an `InputError`. The result says so (`Setup.observer`). There are no solver check and no
+    restarts.
     """
     if not samples > 0.0:
         raise InputError(f"an observer needs a positive memory in samples, not {samples:g}.")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.data import DECIBEL, DEGREE, Experiment, complex_values
-from fmuid.identification.model_errors import ErrorKind, Sizes
+from fmuid.identification.model_errors import Direction, ErrorKind, Sizes
 from fmuid.simulation import AnySimulator, FrequencySimulator, output_unit
 
 
@@ -21,6 +20,7 @@ class DirectionSettings:
     delay: float = 0.5  # samples: where in an interval a channel is read
     least_delay: float = 0.1  # of it: smaller secants are differences of rounded outputs
     share: float = 0.01  # of an amplitude: gains, offsets, error voltages of ordinary sensors and inverters
+    joint: float = 0.5  # of this share: a joint is some per mille of the impedance
     saturation: float = 0.1  # of a parameter at the largest amplitude
     drift: float = 0.05  # of a parameter over the record: 13 K of copper
     fixed: float = 0.1  # of a fixed parameter
@@ -35,22 +35,9 @@ class DirectionSettings:
 SETTINGS = DirectionSettings()
 
 
-@dataclass(frozen=True, eq=False)
-class DirectionColumn:
-    """A direction over one experiment: change of its outputs (K, n_y)."""
-
-    kind: ErrorKind
-    subject: tuple[str, ...]
-    unit: str
-    usual: float
-    table: Floats
-    one_sided: bool = False
-    value: float = math.nan  # of a fixed parameter
-
-
 def row_columns(
     simulator: AnySimulator, theta: Floats, simulated: Floats, slopes: Floats, sizes: Sizes
-) -> Iterator[DirectionColumn]:
+) -> Iterator[Direction]:
     """Yield the directions over an experiment without a time: sensors, fixed parameters and saturation.
 
     At rest, a parameter that depends on an output changes each row by the row's own slope.
@@ -66,12 +53,12 @@ def row_columns(
     for names, square in squares_by_unit(experiment.output_names, simulated, units):
         for name, value, slope in zip(simulator.parameters, theta, slopes, strict=True):
             table = value * np.nan_to_num(slope) * square[:, None]
-            yield DirectionColumn(ErrorKind.SATURATION, (name, *names), "", SETTINGS.saturation, table)
+            yield Direction(ErrorKind.SATURATION, (name, *names), "", SETTINGS.saturation, column=table)
 
 
 def _of_responses(
     simulator: FrequencySimulator, simulated: Floats, units: Mapping[str, str], sizes: Sizes
-) -> Iterator[DirectionColumn]:
+) -> Iterator[Direction]:
     """Yield gain, delay and offset of each response, by its relative change; of a delay the secant of its size."""
     names, angular = simulator.output_names, simulator.angular
     for name, response in simulator.experiment.responses.items():
@@ -94,25 +81,25 @@ def _of_responses(
             table = np.zeros(simulated.shape)
             for part, j in columns.items():
                 table[:, j] = by_part[part]
-            yield DirectionColumn(kind, (name,), unit, usual, table)
+            yield Direction(kind, (name,), unit, usual, column=table)
 
 
-def sensor_columns(experiment: Experiment, simulated: Floats, units: Mapping[str, str]) -> Iterator[DirectionColumn]:
+def sensor_columns(experiment: Experiment, simulated: Floats, units: Mapping[str, str]) -> Iterator[Direction]:
     """Yield offset, its drift, gain, and gain by amplitude, of each output."""
     elapsed = experiment.times - experiment.times[0]
     timed = experiment.kind == "time" and elapsed[-1] > 0.0
     for j, name in enumerate(experiment.output_names):
         usual, shape, own = SETTINGS.share * rms_of(simulated[:, j]), simulated.shape, simulated[:, j]
-        yield DirectionColumn(ErrorKind.OFFSET, (name,), units[name], usual, only_in(shape, j, 1.0))
+        yield Direction(ErrorKind.OFFSET, (name,), units[name], usual, column=only_in(shape, j, 1.0))
         if timed:
             drift = only_in(shape, j, elapsed / elapsed[-1])
-            yield DirectionColumn(ErrorKind.ZERO_DRIFT, (name,), units[name], usual, drift)
-        yield DirectionColumn(ErrorKind.GAIN, (name,), "", SETTINGS.share, only_in(shape, j, own))
+            yield Direction(ErrorKind.ZERO_DRIFT, (name,), units[name], usual, column=drift)
+        yield Direction(ErrorKind.GAIN, (name,), "", SETTINGS.share, column=only_in(shape, j, own))
         cubic = -own * (own / max(float(np.abs(own).max()), 1e-300)) ** 2
-        yield DirectionColumn(ErrorKind.NONLINEARITY, (name,), "", SETTINGS.share, only_in(shape, j, cubic))
+        yield Direction(ErrorKind.NONLINEARITY, (name,), "", SETTINGS.share, column=only_in(shape, j, cubic))
 
 
-def fixed_columns(simulator: AnySimulator, theta: Floats) -> Iterator[DirectionColumn]:
+def fixed_columns(simulator: AnySimulator, theta: Floats) -> Iterator[Direction]:
     """Yield other values of the fixed parameters, in shares of them: one simulation each."""
     fixed = fixed_parameters(simulator)
     names = list(fixed)[: SETTINGS.most_fixed]
@@ -128,7 +115,7 @@ def fixed_columns(simulator: AnySimulator, theta: Floats) -> Iterator[DirectionC
         if error is None and found.errors[0] is None:
             table = (outputs - found.outputs[0]) / SETTINGS.fixed_step
             if table.any():
-                yield DirectionColumn(ErrorKind.FIXED, (name,), "", SETTINGS.fixed, table, value=value)
+                yield Direction(ErrorKind.FIXED, (name,), "", SETTINGS.fixed, value=value, column=table)
 
 
 def fixed_parameters(simulator: AnySimulator) -> dict[str, float]:

@@ -166,28 +166,10 @@ def predict_by_model(
     free: Mapping[str, Parameter] | None = None,
     level: float = CONFIDENCE_LEVEL,
 ) -> Prediction:
-    """Predict an experiment by a result and a model.
+    """Predict an experiment by a result and a model; arguments and errors as of `fmuid.predict`.
 
-    Parameters
-    ----------
-    model : ModelReference, System, FMU or path
-        The model of the result; a reference has fixed values and a step size, too.
-    result : Result
-        Also one read from a file.
-    experiment : Experiment
-    values : mapping of str to float, int, bool or str, optional
-        Fixed variables; estimates come first.
-    free : mapping of str to Parameter, optional
-        Values to refit on this experiment alone, such as initial states.
-    level : float
-        Confidence level of the band.
-
-    Raises
-    ------
-    InputError
-        If experiment, model and result do not fit together, or the level is not between 0 and 1.
-    SimulationError
-        If the simulation fails.
+    A reference to a model has fixed values and a step size, too. Estimates come before fixed values. Values that are
+    `free`, such as initial states, are refitted on this experiment alone.
     """
     check_level(level, "a band")
     check_kind(result, Result, "what is predicted with must be a fmuid.Result")
@@ -206,10 +188,7 @@ def predict_by_model(
 def estimates_for(result: Result, system: System, experiment: Experiment, without: Collection[str]) -> dict[str, str]:
     """Return the parameter of each variable with an estimate in an experiment.
 
-    Raises
-    ------
-    InputError
-        If the model has no such variable, or a parameter per experiment has no value for this one.
+    `InputError`: the model has no such variable, or a parameter per experiment has no value for this one.
     """
     found: dict[str, str] = {}
     here = ("", experiment.name) if result.made_from(experiment) else ("",)

@@ -78,19 +78,11 @@ class ExtrapolationReason:
 
 @dataclass(frozen=True)
 class PriorInfluence:
-    """Influence of a prior on an estimate.
-
-    Attributes
-    ----------
-    name, prior : str
-        The parameter, and the parameter whose prior acts most on it.
-    rests : bool
-        True: the estimate rests on that prior, its σ is far larger without; False: the prior moved it.
-    """
+    """Influence of a prior on an estimate."""
 
     name: str
-    prior: str
-    rests: bool
+    prior: str  # the parameter whose prior acts most on it
+    rests: bool  # True: the estimate rests on that prior, its σ is far larger without; False: the prior moved it
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,23 +256,10 @@ def compare_prior_and_data(
 
 
 def parabolas(reading: pd.DataFrame, name: str) -> pd.DataFrame:
-    """Compute the cost of prior, data and both (figure 1.1; 1.54, 1.57).
+    """Compute the cost of prior, data and both (figure 1.1; 1.54, 1.57), from `PriorDataComparison.table`.
 
-    Parameters
-    ----------
-    reading : DataFrame
-        `PriorDataComparison.table`.
-    name : str
-
-    Returns
-    -------
-    DataFrame
-        ``value``, ``prior``, ``data``, ``both``; NaN without prior or identifying data.
-
-    Raises
-    ------
-    InputError
-        If there is no such parameter, or its estimate has no standard deviation.
+    Columns: ``value``, ``prior``, ``data``, ``both``; NaN without prior or identifying data. `InputError`: there is no
+    such parameter, or its estimate has no standard deviation.
     """
     known = list(reading["parameter"])
     if name not in known:

@@ -26,28 +26,15 @@ SINGULAR = 1e-11  # least information of an identifiable direction, relative; er
 
 @dataclass(frozen=True, eq=False)
 class SensitivityFunctions:
-    """Normalized sensitivities over one experiment.
-
-    Attributes
-    ----------
-    experiment : str
-    axis : mapping of str to (K,) array
-        Times, s; of rows without a time their numbers and inputs.
-    outputs, units : tuple of str
-        Outputs, and the units of both outputs and sensitivities; "" without.
-    parameters : tuple of str
-    values : (K, n_outputs, N) array
-        Magnitude of the parameter times ∂ŷ/∂θ.
-    magnitudes : (N,) array
-    """
+    """Normalized sensitivities over one experiment."""
 
     experiment: str
-    axis: Mapping[str, Floats]
+    axis: Mapping[str, Floats]  # times (K,), s; of rows without a time their numbers and inputs
     outputs: tuple[str, ...]
-    units: tuple[str, ...]
+    units: tuple[str, ...]  # of outputs and sensitivities; "" without
     parameters: tuple[str, ...]
-    values: Floats
-    magnitudes: Floats
+    values: Floats  # (K, n_outputs, N), magnitude of the parameter times ∂ŷ/∂θ
+    magnitudes: Floats  # (N,)
 
     @property
     def table(self) -> pd.DataFrame:
@@ -89,12 +76,7 @@ def sensitivity_functions(
 ) -> SensitivityFunctions:
     """Compute the normalized sensitivities at the initial guess, by central differences.
 
-    Raises
-    ------
-    InputError
-        If there are no parameters, or model, experiment and parameters do not fit together.
-    SimulationError
-        If a simulation fails.
+    `InputError`: model, experiment and parameters do not fit together. `SimulationError`: a simulation fails.
     """
     flat = ParameterSet(parameters, [experiment.name])
     simulator = simulator_of(model, experiment, tuple(parameters), values or {})
@@ -131,23 +113,8 @@ def expected_accuracy(
 ) -> ExpectedAccuracy:
     """Compute the expected σ of an excitation at the initial guess.
 
-    Parameters
-    ----------
-    model : System
-    excitation : Experiment
-        Measured, or planned (`fmuid.diagnosis.planned_experiment`).
-    parameters : mapping of str to Parameter
-    variance : mapping of str to float or (K,) array
-        Noise variance of each output, in the unit of the excitation's data.
-    values : mapping of str to float, int, bool or str, optional
-        Fixed variables.
-
-    Raises
-    ------
-    InputError
-        If the noise of an output is missing, or as `sensitivity_functions`.
-    SimulationError
-        If a simulation fails.
+    The excitation is measured, or planned (`fmuid.diagnosis.planned_experiment`). The noise variance of each output is
+    a number or (K,), in the unit of the excitation's data. Errors as of `sensitivity_functions`.
     """
     for name in excitation.output_names:
         if name not in variance:
@@ -174,23 +141,9 @@ def expected_accuracy(
 
 
 def rank_excitations(found: Sequence[ExpectedAccuracy], *, by: str = "determinant") -> pd.DataFrame:
-    """Compare excitations: one row each, the best first.
+    """Compare excitations: one row each, the best first, by "determinant" (D-optimal) or the "worst" relative σ.
 
-    Parameters
-    ----------
-    found : sequence of ExpectedAccuracy
-    by : "determinant" or "worst"
-        D-optimal, or by the largest relative σ.
-
-    Returns
-    -------
-    pandas.DataFrame
-        ``excitation``, ``duration`` (s), ``log_determinant``, ``worst``, and for each parameter its ``.std``.
-
-    Raises
-    ------
-    InputError
-        If `by` is unknown.
+    Columns: ``excitation``, ``duration`` (s), ``log_determinant``, ``worst``, and for each parameter its ``.std``.
     """
     if by not in ("determinant", "worst"):
         raise InputError(f'by: must be "determinant" or "worst", not {by!r}.')

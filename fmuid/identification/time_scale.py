@@ -51,19 +51,9 @@ class TimeScaleWarning:
 
 
 def doubt_of_time(simulator: Simulator, theta: Sequence[float]) -> TimeScaleWarning | None:
-    """Compare a recording with the time constants of its model.
+    """Compare a recording with the time constants of its model at theta.
 
-    Parameters
-    ----------
-    simulator : Simulator
-        Of the recording.
-    theta : sequence of float
-        Its parameters.
-
-    Returns
-    -------
-    TimeScaleWarning or None
-        None without mismatch, or if the model does not settle or cannot be simulated.
+    None without mismatch, or if the model does not settle or cannot be simulated.
     """
     simulator = simulator.of_model
     record = simulator.experiment

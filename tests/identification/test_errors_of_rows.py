@@ -139,7 +139,8 @@ def test_directions_of_a_response_are_its_changes(columns: dict[str, Any]) -> No
         return made, made(np.array([3.0]))
 
     simulator, values = simulated(0.0)
-    found = {each.kind: each.table for each in row_columns(simulator, np.array([3.0]), values, np.zeros((1, 7, 2)), {})}
+    directions = row_columns(simulator, np.array([3.0]), values, np.zeros((1, 7, 2)), {})
+    found = {each.kind: each.column for each in directions}
     late = (simulated(1e-6)[1] - simulated(-1e-6)[1]) / 2e-6
     np.testing.assert_allclose(found[ErrorKind.RESPONSE_DELAY], late, rtol=1e-6, atol=1e-6)
     assert (ErrorKind.OFFSET in found) == ("decibel" not in columns)

@@ -96,34 +96,16 @@ class ResidualFunction(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Iteration:
-    """One step of the optimization; number 0 is the initial guess.
-
-    Attributes
-    ----------
-    number : int
-    criterion : float
-        Cost at theta, NaN if the simulation failed.
-    damping : float
-        λ of the step, relative to D²; 0 for Gauss–Newton, NaN at the initial guess.
-    accepted : bool
-    theta : (N,) array
-        Trial point.
-    step : float
-        Length of the step relative to the magnitudes.
-    offset : float
-        Remaining distance before the step, σ.
-    central : bool
-        True with central differences.
-    """
+    """One step of the optimization; number 0 is the initial guess."""
 
     number: int
-    criterion: float
-    damping: float
+    criterion: float  # cost at theta, NaN if the simulation failed
+    damping: float  # λ of the step, relative to D²; 0 for Gauss–Newton, NaN at the initial guess
     accepted: bool
-    theta: Floats
-    step: float
-    offset: float
-    central: bool
+    theta: Floats  # (N,), trial point
+    step: float  # length of the step relative to the magnitudes
+    offset: float  # remaining distance before the step, σ
+    central: bool  # central differences
 
 
 @dataclass(frozen=True)
