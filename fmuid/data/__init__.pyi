@@ -59,4 +59,5 @@ from .responses import FrequencyExperiment as FrequencyExperiment
 from .responses import Response as Response
 from .responses import complex_values as complex_values
 from .sensor_map import SensorMap as SensorMap
+from .sensor_map import shifted as shifted
 from .several_clocks import CLOCKS as CLOCKS

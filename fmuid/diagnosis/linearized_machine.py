@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from fmuid.array_types import Floats
-from fmuid.data import Experiment
+from fmuid.data import Experiment, shifted
 from fmuid.diagnosis.causes import LINE_KINDS, SENSOR_KINDS, CauseKind, ChangeParameterSet
 from fmuid.diagnosis.voltage_drops import VoltageDrops
 from fmuid.estimation import parabola_slope
@@ -90,10 +90,10 @@ class LinearizedMachine:
         for j, name in enumerate(self.experiment.output_names):
             at = [next(iter(self.coordinates.of(kind, name)), None) for kind in SENSOR_KINDS]
             gain, offset, delay = (0.0 if i is None else point[i] for i in at)
-            rate = _rate(self.experiment.times, outputs[:, j])
-            late = outputs[:, j] - delay * rate
+            late, slopes = (shifted(self.experiment.times, each[:, j], delay) for each in (outputs, columns))
+            rate = _rate(self.experiment.times, late)
             seen[:, j] = (1.0 + gain) * late + offset
-            columns[:, j, :] *= 1.0 + gain
+            columns[:, j, :] = (1.0 + gain) * slopes
             for i, column in zip(at, (late, np.ones(late.size), -(1.0 + gain) * rate), strict=True):
                 if i is not None:
                     columns[:, j, i] = column

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import special
 
 from fmuid.array_types import Floats
-from fmuid.diagnosis.information_matrix import InformationMatrix, ScoreStatistics
+from fmuid.diagnosis.information_matrix import LEAST, InformationMatrix, ScoreStatistics
 from fmuid.diagnosis.population import SETTINGS as POPULATION
 from fmuid.diagnosis.population import Population, Scales
 from fmuid.identification import SAME_VARIANCE_RATIO
@@ -65,9 +65,10 @@ def regression(residual: Floats, regressors: Floats, jacobian: Floats) -> Inform
     norms = np.linalg.norm(jacobian, axis=0)
     basis, values, _ = np.linalg.svd(jacobian / np.where(norms > 0, norms, 1.0), full_matrices=False)
     spanned = basis[:, values > SETTINGS.spanned * values.max(initial=0.0)]
-    shared = spanned.T @ regressors
-    own = InformationMatrix.of(regressors, residual)
-    return InformationMatrix(own.matrix - shared.T @ shared, own.score - shared.T @ (spanned.T @ residual))
+    left = regressors - spanned @ (spanned.T @ regressors)
+    # of a regressor that the Jacobian spans, rounding and errors of differences are left
+    own = np.sum(left**2, axis=0) > LEAST * np.sum(regressors**2, axis=0)
+    return InformationMatrix.of(left * own, residual)
 
 
 def signal_sizes(signals: Floats) -> Floats:

@@ -136,9 +136,10 @@ def operated(rng: np.random.Generator, **off: float) -> fmuid.Experiment:
             c = rate(x + step * b / 2, u)
             x += step * (a + 2 * b + 2 * c + rate(x + step * c, u)) / 6
         current[k + 1] = x
-    seen = (1.0 + off.get("gain", 0.0)) * (current - off.get("delay", 0.0) * np.gradient(current, STEP))
+    times = STEP * np.arange(count)
+    seen = (1.0 + off.get("gain", 0.0)) * np.interp(times - off.get("delay", 0.0), times, current)
     seen = seen + off.get("offset", 0.0) + 0.01 * rng.standard_normal(count)
-    frame = pd.DataFrame({"time": STEP * np.arange(count), "u": voltage, "i": seen})
+    frame = pd.DataFrame({"time": times, "u": voltage, "i": seen})
     return fmuid.Experiment(frame, ["u"], ["i"], interpolation="zoh", name=str(rng.integers(1 << 40)))
 
 

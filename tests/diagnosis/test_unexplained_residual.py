@@ -57,3 +57,13 @@ def test_directions_that_a_record_lacks_are_left_out() -> None:
     structure = HealthyStructure({"all": (0, 1, 2)}, [full], SAMPLES)
     assert structure.test(less, 1.0).degrees == 2
     assert structure.test(none, 1.0).probability == pytest.approx(1.0)
+
+
+def test_regressors_that_the_model_spans_say_nothing() -> None:
+    """Rounding of a constant beside an offset was a change of a hundred deviations in one of thirty records."""
+    rng, healthy = np.random.default_rng(3), list[InformationMatrix]()
+    for _ in range(8):
+        given = 20.0 + np.repeat(rng.choice([-3.0, 3.0], SAMPLES // 30), 30)
+        jacobian = np.column_stack([np.ones(SAMPLES), 1e3 + rng.standard_normal(SAMPLES), rng.standard_normal(SAMPLES)])
+        healthy.append(regression(rng.standard_normal(SAMPLES), lagged(given[:, None]), jacobian))
+    assert all(each.matrix[0, 0] == each.score[0] == 0.0 < each.matrix[1, 1] for each in healthy)
