@@ -31,12 +31,7 @@ class CostFunction:
     """
 
     def __init__(
-        self,
-        evaluator: Evaluator[LeastSquares],
-        variance: Floats,
-        noise: Floats,
-        least_variance: Floats,
-        start: Floats,
+        self, evaluator: Evaluator[LeastSquares], variance: Floats, noise: Floats, least_variance: Floats, start: Floats
     ) -> None:
         self.evaluator, self.problem = evaluator, evaluator.problem
         self.simulation_noise, self.least_variance, self._start = noise, least_variance, start

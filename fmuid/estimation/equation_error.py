@@ -1,13 +1,8 @@
-"""Equation error and instrumental variables: differential equations linear in their parameters, without simulation.
+"""Equation error and instrumental variables, without simulation (docs/method/linear-models.md).
 
-D^p0 s_0 = Σ θ_j D^pj s_j also holds for signals s filtered by (λ/(s + λ))ᵐ: regressors for least squares. Noise in
-measured regressors biases the estimate; instruments from a simulation do not.
-
-The filter's lags z_j′ = λ (z_{j−1} − z_j) are integrated exactly between samples; their states give derivatives,
-Dᵖ z_m = λᵖ Σ_i C(p, i) (−1)^(p−i) z_{m−i}. Unknown initial derivatives add Σ c_k tᵏ e^(−λt), k < m, with free c_k.
-
-References: P. C. Young, Int. J. Control 23 (5), 1976; H. Garnier, L. Wang (ed.), "Identification of Continuous-time
-Models from Sampled Data", 2008, chapter 1.
+The filter's lags z_j′ = λ (z_{j−1} − z_j) are integrated exactly between samples; their states give derivatives, Dᵖ z_m
+= λᵖ Σ_i C(p, i) (−1)^(p−i) z_{m−i}. References: P. C. Young, Int. J. Control 23 (5), 1976; H. Garnier, L. Wang (ed.),
+"Identification of Continuous-time Models from Sampled Data", 2008, chapter 1.
 """
 
 from __future__ import annotations

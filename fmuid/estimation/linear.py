@@ -1,11 +1,4 @@
-"""Linear estimates in closed form by QR (1.1–1.12; docs/method/linear-models.md).
-
-Zᵀ(y* − Φθ) = 0 with regressors Φ (K, N), measured y* (K,) and instruments Z; Z = Φ is least squares.
-
-With an orthonormal basis Q of Z, θ̂ = A Qᵀ y has covariance A QᵀΓQ Aᵀ under colored noise. The residual lacks the fitted
-part E[e eᵀ − r rᵀ] = F Hᵀ + H Fᵀ, F = Φ A, H = ΓQ − F (QᵀΓQ)/2, added with the last Γ (Worsley). Γ is Toeplitz, under
-Parzen's window. V_ii = rᵀBr has tr(BR)²/tr(BRBR) degrees of freedom (Satterthwaite).
-"""
+"""Linear estimates in closed form by QR (1.1–1.12; docs/method/linear-models.md, with its symbols)."""
 
 from __future__ import annotations
 

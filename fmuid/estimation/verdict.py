@@ -58,14 +58,7 @@ class Reason(Enum):
         return Grade.NOT_USABLE if self in _FATAL else Grade.DOUBTFUL
 
 
-_FATAL = frozenset(
-    {
-        Reason.INTERRUPTED,
-        Reason.NOT_CONVERGED,
-        Reason.NON_IDENTIFIABLE,
-        Reason.BETTER_OPTIMUM,
-    }
-)
+_FATAL = frozenset({Reason.INTERRUPTED, Reason.NOT_CONVERGED, Reason.NON_IDENTIFIABLE, Reason.BETTER_OPTIMUM})
 
 
 @dataclass(frozen=True)

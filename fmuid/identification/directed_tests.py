@@ -20,14 +20,7 @@ from fmuid.blas import single_threaded
 from fmuid.estimation import LeastSquares, ResidualNoise, Result, augmented
 from fmuid.identification.acquisition_delay import DELAY_PRIOR, delay_columns
 from fmuid.identification.feedback import find_feedback
-from fmuid.identification.model_errors import (
-    LEVEL,
-    DirectedTest,
-    Direction,
-    ErrorKind,
-    ModelError,
-    ModelErrors,
-)
+from fmuid.identification.model_errors import LEVEL, DirectedTest, Direction, ErrorKind, ModelError, ModelErrors
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,6 @@
-"""Likelihood scaled to the colored noise.
+"""Likelihood scaled to the colored noise (docs/method/profiles-and-posterior.md, with its symbols).
 
-The log-likelihood l of white noise has the curvature H at the data's optimum θ_d, where θ_d scatters by V. With d = θ −
-θ_d, n − q degrees of freedom, and R from l(θ_d) − l(θ) = n/2 log(1 + R/(n − q)), it is replaced by
-
-    l(θ_d) − (ν + q)/2 log(1 + Q/ν),   Q = R (dᵀV⁻¹d)/(dᵀHd),
-
-of curvature V⁻¹ and Student's tails with the ν degrees of freedom of V (Chandler and Bate, Biometrika 94, 2007; Ribatet
-et al., Statistica Sinica 22, 2012). The prior stays as it is.
+The prior stays as it is (Ribatet et al., Statistica Sinica 22, 2012).
 """
 
 from __future__ import annotations

@@ -33,15 +33,7 @@ from fmuid.identification.problem import ModelReference, Problem, refinement_of
 from fmuid.identification.residual_analysis import ResidualAnalysis
 from fmuid.identification.residual_series import examine_outputs
 from fmuid.models import FMU, System
-from fmuid.simulation import (
-    AnySimulator,
-    OutputFit,
-    Value,
-    finer_simulator,
-    fit_of,
-    output_factor,
-    simulator_of,
-)
+from fmuid.simulation import AnySimulator, OutputFit, Value, finer_simulator, fit_of, output_factor, simulator_of
 
 LARGEST_STEP = 1e-2  # of differences, relative to the magnitude; smaller σ are the step
 

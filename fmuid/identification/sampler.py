@@ -1,12 +1,7 @@
-"""Sampling of the posterior by emcee (Foreman-Mackey et al., PASP 125, 2013).
+"""Sampling of the posterior by emcee (docs/method/profiles-and-posterior.md).
 
-With J_j(θ) the sum of squares of output j and K_j its samples, inside the bounds,
-
-    ln p(θ | y*) = −½ [ (θ−θ₀)ᵀ M₀⁻¹ (θ−θ₀) + Σ_given J_j(θ)/σ_j² + Σ_estimated K_j ln J_j(θ) ] + const:
-
-an estimated variance, uniform in ln σ_j, is integrated out (Gelman et al., section 3.2). Robust losses keep variances
-at their estimates. Colored noise and robust losses scale the data's part (`likelihood_scaling`). Moves are differential
-evolution (ter Braak, 2006), draws from the local approximation, and proposals from the past (`proposal_archive`).
+References: Foreman-Mackey et al., PASP 125, 2013; ter Braak, Statistics and Computing 16, 2006. Robust losses keep
+variances at their estimates.
 """
 
 from __future__ import annotations

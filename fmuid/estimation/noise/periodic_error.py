@@ -1,17 +1,4 @@
-"""Periodic model error, found in the mean cycle of the residual (docs/method/periodic-error.md).
-
-With columns C and residual summed over n cycles and divided by √n, C̄ and z (T samples), the error adds to CᵀΓC
-
-    Σ_k G(ω_k) c_k c_kᴴ,   c_k the transform of C̄ at the harmonic ω_k, divided by √T.
-
-z has the spectrum S + G, S that of the noise model. G is a variance times an AR(1) shape, or S. Both are weighed by the
-restricted likelihood (Patterson and Thompson, Biometrika 58, 1971), d an orthonormal basis of C̄:
-
-    −½ [Σ_k log(S + G) + log|D| + z*z − (d*z)ᵀ D⁻¹ (d*z)],   D = d*d,   a*b = Σ_k Re(ā_k b_k)/(S + G),
-
-over a logarithmic grid, beside no error at all with the prior weight `nothing`. Outputs of one grid with correlated
-mean cycles are replaced by sums w that diagonalize Σ_k Re z_a z̄_b and its noise part F, WᵀFW = 1; they act by A = FW.
-"""
+"""Periodic model error in the mean cycle of the residual (docs/method/periodic-error.md)."""
 
 from __future__ import annotations
 

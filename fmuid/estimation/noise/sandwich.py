@@ -1,13 +1,4 @@
-"""Covariance under colored noise, with degrees of freedom (docs/method/covariance.md).
-
-With whitened noise e of covariance Γ, V = R (CᵀΓC + (WR)ᵀWR) Rᵀ, C = J R, R Rᵀ = H⁻¹, H = JᵀJ + WᵀW. Each output is an
-autoregression; innovations of one experiment correlate at equal times only, cov(w_a, w_b) = S_ab (Parks). With Z_a the
-columns filtered by 1/A_a backwards in time, CᵀΓC = Σ_ab S_ab Z_aᵀ Z_b. The residual r lacks the fitted part
-
-    E[e eᵀ − r rᵀ] = Q Hᵀ + H Qᵀ,   H = ΓQ − Q (QᵀΓQ)/2,   Q an orthonormal basis of J,
-
-added to its second moments in rounds (Worsley). V_ii has ν_i = 2/var(log V_ii) degrees of freedom (Satterthwaite).
-"""
+"""Covariance under colored noise, with degrees of freedom (docs/method/covariance.md, with its symbols)."""
 
 from __future__ import annotations
 

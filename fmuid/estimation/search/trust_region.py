@@ -1,8 +1,5 @@
 """One Levenberg–Marquardt step within bounds, and its trust region (docs/method/optimization.md).
 
-Minimize ‖r + J p‖² + λ ‖D p‖², D the column lengths of J. [J r] is reduced once to a triangle [R q]; the SVD of R D⁻¹
-gives every λ. λ is the one with ‖D p‖ = Δ. A bound that is met is held, and the rest is solved again.
-
 References: Moré, Lecture Notes in Mathematics 630, 1978; Sun and Nocedal, Math. Program. 202, 2023.
 """
 
