@@ -110,14 +110,12 @@ def find_contributions(problem: LeastSquares, result: Result) -> Contributions |
     spread = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", raw, covariance, raw), 0.0))
     pull = np.einsum("ij,jk,ik->i", jacobian, np.linalg.pinv(_information(blocks)), jacobian)
     levels = problem.unscaled(np.sqrt([result.fit.variance[name] for name in problem.output_names])[problem.groups])
-    tables = [_rowwise(problem, each) for each in (np.clip(pull, 0.0, 1.0), spread * levels, levels)]
+    ends = [0 if each.kind == "time" else None for each in problem.experiments]  # rows of those without a time
+    tables = [
+        tuple(table[:end] for table, end in zip(problem.tables(values), ends, strict=True))
+        for values in (np.clip(pull, 0.0, 1.0), spread * levels, levels)
+    ]
     return Contributions(parts, *tables)
-
-
-def _rowwise(problem: LeastSquares, values: Floats) -> tuple[Floats, ...]:
-    """Return the table of each experiment, without rows of those in time."""
-    pairs = zip(problem.experiments, problem.tables(values), strict=True)
-    return tuple(table[: 0 if each.kind == "time" else None] for each, table in pairs)
 
 
 def _information(blocks: list[tuple[Floats, Floats]]) -> Floats:

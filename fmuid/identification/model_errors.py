@@ -214,11 +214,6 @@ class DirectedTest:
         return self.score**2 + 2.0 * self.log_odds
 
     @property
-    def exposure(self) -> Floats:
-        """Shift of the estimates (N,) by the usual size, σ."""
-        return self.shift * self.direction.usual
-
-    @property
     def is_plausible(self) -> bool:
         """True if an error has such a size."""
         return abs(self.size) <= SETTINGS.plausible * self.direction.usual

@@ -73,12 +73,6 @@ def write_figures(folder: Path, sections: Sequence[Section], kind: str) -> list[
     return save(drawn, folder / "figures", kind)
 
 
-def check_format(figures: str | None) -> None:
-    """Check the format of figures for print."""
-    if figures is not None and figures not in FORMATS:
-        raise InputError(f"figures are drawn as {', '.join(FORMATS)}, not {figures!r}")
-
-
 def clear_figures(folder: Path) -> None:
     """Remove the figures of an earlier run; other files stay."""
     for old in folder.glob("*.*"):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
 
 from fmuid.errors import InputError
 from fmuid.reports.document import Document
-from fmuid.reports.publish import check_format, publish
+from fmuid.reports.publish import FORMATS, publish
 
 if TYPE_CHECKING:
     from fmuid.events import Progress
@@ -80,7 +80,8 @@ def run(
     >>> fmuid.run("results", command="predict", tables=[fmuid.datasets.coil().path]).scores["output"].tolist()
     ['i']
     """
-    check_format(figures)
+    if figures is not None and figures not in FORMATS:
+        raise InputError(f"figures are drawn as {', '.join(FORMATS)}, not {figures!r}")
     folder = None if output is None else Path(output)
     if folder is None and figures:
         raise InputError("figures are in a folder: say in which one")

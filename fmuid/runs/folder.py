@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -64,14 +64,10 @@ def tables_of(found: IdentificationRun) -> dict[str, pd.DataFrame]:
         tables["optima"] = found.optima
     if changed := [each.table for each in found.prepared if len(each.table)]:
         tables["preparation"] = pd.concat(changed, ignore_index=True)
-    tables |= {_map_name(chart.names): chart.table for chart in checks.maps}
+    tables |= {f"map-{file_name('-'.join(chart.names))}": chart.table for chart in checks.maps}
     tables |= {"profiles": checks.profile_table} if checks.profiles else {}
     tables |= {} if checks.posterior is None else {"posterior": checks.posterior.table}
     return tables
-
-
-def _map_name(names: Iterable[str]) -> str:
-    return f"map-{file_name('-'.join(names))}"
 
 
 def write_identification(folder: Path, found: IdentificationRun) -> list[Path]:

@@ -75,7 +75,9 @@ _PLAIN: dict[Any, dict[str, Any]] = {
 def _object_schema(kind: type, known: dict[str, Any]) -> dict[str, Any]:
     layout, hints, told = layout_of(kind), hints_of(kind), _descriptions(kind)
     for name in {*layout.derived, *(name for each in layout.rows.values() for name in each.values())} - set(hints):
-        hints = hints | {name: get_type_hints(_getter(getattr(kind, name)))["return"]}
+        found = getattr(kind, name)  # a property, which may keep its value
+        getter = found.func if isinstance(found, cached_property) else found.fget
+        hints = hints | {name: get_type_hints(getter)["return"]}
     elsewhere = layout.elsewhere()
 
     def described(name: str) -> dict[str, Any]:
@@ -100,11 +102,6 @@ def _object_schema(kind: type, known: dict[str, Any]) -> dict[str, Any]:
     required += [*(each.name for each in own if is_required(each)), *layout.rows, *layout.parts]
     summary = (kind.__doc__ or "").split("\n\n")[0]
     return {"type": "object", "description": " ".join(summary.split()), "properties": properties, "required": required}
-
-
-def _getter(found: Any) -> Any:
-    """Return the function of a property, which may keep its value."""
-    return found.func if isinstance(found, cached_property) else found.fget
 
 
 def _descriptions(kind: type) -> dict[str, str]:

@@ -145,7 +145,8 @@ def _section(section: Section, drawings: list[Any], live: frozenset[str]) -> str
 
 def _made_from(documents: Sequence[Document]) -> str:
     """Return date and files with short digests, of all documents."""
-    rows = {name: cell for each in documents for name, cell in _origin_rows(each)}
+    origins = [each.origin for each in documents if each.origin]
+    rows = {name: cell for each in origins for name, cell in zip(each[0].cells, each[-1].cells, strict=True)}
     date = rows.get("run", "").replace("T", " ").replace("+00:00", " UTC")
     known = {cell: name for name, cell in reversed(rows.items()) if cell.startswith(DIGEST)}
     files = [
@@ -158,11 +159,6 @@ def _made_from(documents: Sequence[Document]) -> str:
         *([f"{len(files) - LIMITS.files} more"] if len(files) > LIMITS.files else []),
     ]
     return f"<p class=made>{' · '.join(filter(None, shown))}</p>" if any(shown) else ""
-
-
-def _origin_rows(document: Document) -> Iterator[tuple[str, str]]:
-    if document.origin:
-        yield from zip(document.origin[0].cells, document.origin[-1].cells, strict=True)
 
 
 def _origin(document: Document, *, several: bool) -> str:

@@ -49,10 +49,6 @@ class StudyPackage:
         data = _renamed(self.data, lambda name: str(folder / name) if name in self.originals else name)
         return Study.of(data, self.path, isolated=self.isolated)
 
-    def originals_of(self, folder: Path) -> dict[str, str]:
-        """Return the user's names of the files below a folder."""
-        return {str(folder / name): original for name, original in self.originals.items()}
-
 
 def put(folder: Path, files: Mapping[str, bytes]) -> None:
     """Write files below a folder."""

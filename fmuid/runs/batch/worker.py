@@ -106,7 +106,8 @@ class OpenStudy:
     def __init__(self, parcel: StudyPackage) -> None:
         self.folder = Path(tempfile.mkdtemp(prefix="fmuid-", dir=_worker("local_directory", None)))
         weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
-        study, originals = parcel.unpack(self.folder), parcel.originals_of(self.folder)
+        study = parcel.unpack(self.folder)
+        originals = {str(self.folder / name): original for name, original in parcel.originals.items()}
         self.run: Callable[[Sequence[int]], list[CaseOutcome]]
         if parcel.isolated and AVAILABLE:
             self.run = IsolatedCases(study, originals).run
