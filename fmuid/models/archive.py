@@ -68,16 +68,7 @@ _DAMAGES = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, RuntimeError
 class CheckedArchive:
     """A zip archive with checked entries; a context manager that closes it.
 
-    Parameters
-    ----------
-    file : Path
-    path : Path, optional
-        Name in messages; default: `file`.
-
-    Raises
-    ------
-    InputError
-        If the file is no readable zip archive, or an entry is refused.
+    `path` is its name in messages. `InputError`: the file is no readable zip archive, or an entry is refused.
     """
 
     entries: tuple[zipfile.ZipInfo, ...]

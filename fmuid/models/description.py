@@ -141,14 +141,9 @@ class Description:
         return tuple(variable.name for variable in self.with_causality("input"))
 
     def conversion(self, variable: Variable, unit: str) -> tuple[float, float]:
-        """Return (factor, offset) from a unit to the variable's unit.
+        """Return (factor, offset) from a unit to the variable's unit; `InputError` if they do not convert.
 
         The FMU's own definitions precede general ones (`fmuid.units`).
-
-        Raises
-        ------
-        InputError
-            If the units are unknown or do not convert.
         """
         if unit == (variable.unit or ""):
             return 1.0, 0.0

@@ -61,12 +61,7 @@ def read_ssv(path: str | Path) -> ParameterValues:
 def write_ssv(path: Path, name: str, values: Mapping[str, Quantity], units: Mapping[str, Unit]) -> None:
     """Write an SSV file of SSP 1.0; numbers read back exactly, units without SI exponents are left out.
 
-    Raises
-    ------
-    InputError
-        If a value is not finite.
-    OSError
-        If the file cannot be written.
+    `InputError`: a value is not finite. `OSError`: the file cannot be written.
     """
     defined = {q.unit for q in values.values() if q.unit is not None and q.unit in units and units[q.unit].exponents}
     lines = [

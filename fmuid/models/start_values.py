@@ -31,10 +31,7 @@ _ELEMENT = re.compile(r"(?P<array>.+)\[(?P<subscripts>\d+(?:,\d+)*)\]")
 def with_starts(text: bytes, values: Mapping[str, float | int | bool]) -> bytes:
     """Return a modelDescription.xml with other, annotated start values; elements of arrays are ``x[2,3]``.
 
-    Raises
-    ------
-    InputError
-        If the XML is not well-formed, a variable is missing or an array, or a value does not fit its type.
+    `InputError`: the XML is not well-formed, a variable is missing or an array, or a value does not fit its type.
     """
     located = _LocatedXml(text)
     sizes: dict[Element, int] = {}

@@ -22,10 +22,7 @@ DEEPEST_NESTING = 200
 def parse_xml(text: bytes, what: str) -> ElementTree.Element:
     """Return the root element of an XML text in its declared encoding; `what` names it in messages.
 
-    Raises
-    ------
-    InputError
-        If it is not well-formed, has a document type, or is nested too deeply.
+    `InputError`: it is not well-formed, has a document type, or is nested too deeply.
     """
     try:
         root = ElementTree.fromstring(text, ElementTree.XMLParser(target=_Builder(what)))

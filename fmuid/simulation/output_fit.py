@@ -115,10 +115,7 @@ class OutputFit:
 def nrmse_fit(pairs: Sequence[tuple[Floats, Floats]]) -> float:
     """Return the NRMSE fit 100 (1 − ‖y − ŷ‖/‖y − ȳ‖) of one output, %; NaN for a constant one.
 
-    Parameters
-    ----------
-    pairs : sequence of ((n,) array, (n,) array)
-        Measured y and simulated ŷ of each experiment with its own mean ȳ.
+    Each experiment has a measured y (n,), a simulated ŷ (n,), and its own mean ȳ.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # of an unstable simulation: −infinite
         error = math.hypot(*(float(np.linalg.norm(y - simulated)) for y, simulated in pairs))

@@ -28,10 +28,7 @@ def simulator_of(
 ) -> AnySimulator:
     """Return the predictor of an experiment, by its kind.
 
-    Raises
-    ------
-    InputError
-        As of `Simulator`, or if the model has no such operating points.
+    `InputError`: as of `Simulator`, or the model has no such operating points.
     """
     check_kind(experiment, Experiment, NO_EXPERIMENT)
     if isinstance(experiment, FrequencyExperiment):

@@ -25,12 +25,7 @@ from fmuid.simulation.simulator import Simulator
 def derivatives_of(simulator: Simulator, sensitivity: str) -> Callable[[Floats], Floats]:
     """Return a function theta (N,) → derivatives (N, K, n_outputs) of the outputs.
 
-    The sensitivities are integrated with the model, "forward", or outputs of the FMU, "fmu".
-
-    Raises
-    ------
-    InputError
-        If the model has no such sensitivities.
+    The sensitivities are integrated with the model, "forward", or outputs of the FMU, "fmu"; else an `InputError`.
     """
     kind = FmuSensitivities if sensitivity == "fmu" else ForwardSensitivities
     return kind(simulator) if simulator.observed is None else ObservedSensitivities(simulator, kind)

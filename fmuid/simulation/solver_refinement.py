@@ -58,13 +58,8 @@ AS_ASKED = Refinement()
 def next_refinement(system: System, than: Refinement = AS_ASKED, *, surely: bool = False) -> Refinement | None:
     """Return the solver refinement after another one; None if there is none.
 
-    Parameters
-    ----------
-    system : System
-        As asked for.
-    than : Refinement
-    surely : bool
-        Whether unknown discrete-time components forbid shorter steps (`System.sampling_known`).
+    The system is as asked for. If `surely`, unknown discrete-time components forbid shorter steps
+    (`System.sampling_known`).
     """
     exchanged = _exchanged(system)
     tolerance, divisor = than.tolerance, than.divisor
@@ -106,10 +101,7 @@ def is_free(system: System) -> bool:
 def refined(simulator: Simulator, system: System, refinement: Refinement) -> Simulator:
     """Return a refined simulator of the same experiment; of the system as asked for.
 
-    Raises
-    ------
-    InputError
-        If an FMU cannot step that way.
+    `InputError`: an FMU cannot step that way.
     """
     if refinement.tolerance is not None:
         system = _run_by(system, {name: _exchange(model) for name, model in _exchanged(system).items()})
