@@ -138,8 +138,6 @@ def _scalar(kind: Any, content: Any, place: str) -> Any:
         return float(content)
     if kind is Path:
         return Path(content) if isinstance(content, str) else _refuse(place, content, "a path")
-    if kind is type(None):
-        return None if content is None else _refuse(place, content, "null")
     wanted = {int: "a whole number", str: "a text", bool: "true or false"}[kind]
     fits = isinstance(content, kind) and (kind is bool or not isinstance(content, bool))
     return content if fits else _refuse(place, content, wanted)

@@ -7,6 +7,7 @@ from .contributions import Contribution as Contribution
 from .contributions import Contributions as Contributions
 from .contributions import find_contributions as find_contributions
 from .cost_map import CostMap as CostMap
+from .cost_map import ellipse as ellipse
 from .cost_map import map_cost as map_cost
 from .cost_map import region_rise as region_rise
 from .data_defects import DataDefect as DataDefect

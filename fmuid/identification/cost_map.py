@@ -98,11 +98,15 @@ class CostMap:
         radius = math.sqrt(self.rise(level))
         if not np.isfinite(self.covariance).all():
             return np.empty((0, 2))
-        angles = np.linspace(0.0, 2.0 * np.pi, SETTINGS.ellipse_points)
-        circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        values, directions = np.linalg.eigh(self.covariance)  # which may be singular
-        root = directions * np.sqrt(np.maximum(values, 0.0))
-        return np.asarray(self.estimate + radius * circle @ root.T, dtype=np.float64)
+        return ellipse(self.estimate, self.covariance, radius)
+
+
+def ellipse(center: Floats, covariance: Floats, radius: float) -> Floats:
+    """Return the closed line (n, 2) at `radius` standard deviations."""
+    angles = np.linspace(0.0, 2.0 * np.pi, SETTINGS.ellipse_points)
+    values, directions = np.linalg.eigh(covariance)  # which may be singular
+    root = directions * np.sqrt(np.maximum(values, 0.0))
+    return np.asarray(center + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1) @ root.T)
 
 
 def region_rise(level: float, freedom: float) -> float:

@@ -13,7 +13,7 @@ from scipy import special
 from fmuid.array_types import Floats
 from fmuid.estimation import Result, TerminationReason
 from fmuid.formatting import listed, rounded, unit_text, with_std
-from fmuid.identification import CONFIDENCE_LEVEL, region_rise
+from fmuid.identification import CONFIDENCE_LEVEL, ellipse, region_rise
 from fmuid.reports.chart import LIMITS, Axis, Chart, Data, Layer, Shades, Units, intervals, kinds, named, rows_of
 from fmuid.reports.document import Message, Remark, Section, Table, plain, table_of
 from fmuid.reports.render.style import ON_PALE, ON_STRONG
@@ -162,7 +162,7 @@ def _ellipses(result: Result, units: Units, level: float) -> list[Chart]:
     for i, j in sorted(pairs):
         freedom = result.estimates.test_dof([result.names[i], result.names[j]])
         radius = math.sqrt(region_rise(level, freedom))
-        x, y = ellipse(result.values[[i, j]], result.covariance[np.ix_([i, j], [i, j])], radius)
+        x, y = ellipse(result.values[[i, j]], result.covariance[np.ix_([i, j], [i, j])], radius).T
         border: Data = {"x": x, "y": y}
         text = f"{100 * level:g} % region, correlation {matrix[i, j]:+.2f}"
         estimate: Data = {"x": result.values[[i]], "y": result.values[[j]]}
@@ -175,12 +175,3 @@ def _ellipses(result: Result, units: Units, level: float) -> list[Chart]:
         axes = (Axis(named(result.names[i], units), ticks=4), Axis(named(result.names[j], units)))
         charts.append(Chart(*axes, layers, 260))
     return charts
-
-
-def ellipse(centre: Floats, covariance: Floats, radius: float) -> tuple[Floats, Floats]:
-    """Return the points at `radius` standard deviations, x and y."""
-    values, directions = np.linalg.eigh(covariance)  # which may be singular
-    angles = np.linspace(0.0, 2.0 * np.pi, 121)
-    root = directions * np.sqrt(np.maximum(values, 0.0))
-    points = centre[:, None] + radius * root @ np.array([np.cos(angles), np.sin(angles)])
-    return points[0], points[1]

@@ -12,10 +12,9 @@ import pandas as pd
 from fmuid.array_types import Floats
 from fmuid.data import evenly
 from fmuid.estimation import Result
-from fmuid.identification import CONFIDENCE_LEVEL, Assessment, CostMap, Posterior, Profile
+from fmuid.identification import CONFIDENCE_LEVEL, Assessment, CostMap, Posterior, Profile, ellipse
 from fmuid.reports.chart import DENSITY, LIMITS, Axis, Chart, ChartGrid, Data, Layer, Shades, Units, named, normal
 from fmuid.reports.document import Section
-from fmuid.reports.topics.estimates import ellipse
 
 PROFILES = "Where the curve leaves the dashed parabola, ± σ is not enough: use the interval, the band."
 MAPS = "The darker, the better the fit. Where the dashed line leaves the ellipse, the local covariance is not enough."
@@ -150,7 +149,7 @@ def _pair(
     block = result.covariance[np.ix_(where, where)]
     if np.isfinite(block).all():
         for share in SHARES:
-            x, y = ellipse(result.values[where], block, math.sqrt(-2.0 * math.log(1.0 - share)))
+            x, y = ellipse(result.values[where], block, math.sqrt(-2.0 * math.log(1.0 - share))).T
             layers.append(Layer("line", {"x": x, "y": y}, "red", dash="dashed", width=1))
     return layers
 
