@@ -76,6 +76,7 @@ _NO_UNITS = (
     "digit",
     "LSB",
     "dB",
+    "Min",
     *"BCDEFPRabceklquxy",
 )
 """Texts that pint takes for units, and people use for others."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,6 +15,7 @@ from fmuid.data.coarse_clock import regular_times
 from fmuid.data.headers import RawTable, split_header
 from fmuid.data.several_clocks import assigned, joined, resolution, same_clock
 from fmuid.data.time_names import TIME_NAMES, counts_part, is_time_name, plain_name
+from fmuid.data.time_numbers import DATES, are_day_numbers, may_be_days, since_1970
 from fmuid.data.time_texts import check_local_times, days_of, seconds_of, time_of_day, times_of
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
@@ -24,17 +25,12 @@ REMEDY = "Name it, give sample_rate, or a kind for rows without times."
 _LISTED_NAMES = 12
 """Names listed in a message."""
 _WITH_SUFFIX = re.compile(rf"(.*\S)[_ ]({'|'.join(SECONDS)})", re.IGNORECASE)
-_CENTURY = (946_684_800.0, 4_102_444_800.0)
-"""Seconds from 1970 to the years 2000 and 2100."""
-_MILLISECONDS = ("ms", "msec", "millisecond", "milliseconds")
-"""Columns beside times of whole seconds."""
-_DAY_NUMBERS = (36_526.0, 73_051.0)
-"""Days of spreadsheets (from 1899-12-30) of the years 2000 to 2100."""
-_MATLAB_DAYS = (729_391.0, 767_010.0)
-"""Days of MATLAB (datenum) of the years 1997 to 2100."""
-_LOGGED_SECONDS = (1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 60.0)
-"""Usual intervals of loggers; as seconds, their fractions of a day are odd sampling rates such as 8640 Hz."""
-_DATES = ("date", "datum", "datetime", "date/time", "date time", "datum/zeit", "datum zeit", "timestamp", "zeitstempel")
+_PARTS = {
+    **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), 1e-3),
+    **dict.fromkeys(("us", "usec", "microsecond", "microseconds"), 1e-6),
+    "fractional seconds": 1.0,
+}
+"""Columns beside times of whole seconds, and their units, s."""
 
 
 def time_name(time: str | int) -> str:
@@ -83,7 +79,7 @@ def with_time(
         return TimedTable(raw.frame.assign(**{name: np.arange(len(raw.frame)) / sample_rate}))
     if unit is not None and unit not in SECONDS:
         raise InputError(f"{source}: time_unit {unit!r} is unknown. Use {', '.join(TIME_UNITS)}.")
-    column = _column(raw, time, source)
+    column = time_column(raw, time, source)
     if column is None and raw.step is not None and sample_rate is None:
         return _by_the_lines_above(raw, name, raw.step, source)
     if column is None:
@@ -91,7 +87,7 @@ def with_time(
     main = _clock(raw, column, unit, source)
     if not pd.api.types.is_numeric_dtype(np.asarray(main.values).dtype):  # refused by the reader, with its row
         return TimedTable(raw.frame.rename(columns={column: name}))
-    main = _with_milliseconds(raw, _with_days(raw, main, source))
+    main = _with_parts(raw, _with_days(raw, main, source))
     others, notes = _other_clocks(raw, main, unit, clocks, source)
     frame = raw.frame
     if others:
@@ -102,7 +98,8 @@ def with_time(
         given = clocks or raw.clocks
         found = {each: given.get(each, main.name) for each in names if each not in seconds}
         found = {each: clock if clock in seconds else main.name for each, clock in found.items()}  # the same times
-        found = found if given else assigned(names, [each for each in names if each in seconds], there, source)
+        filled = [each for each in names if there[each].any()]
+        found |= {} if given else assigned(filled, [each for each in filled if each in seconds], there, source)
         final = {each: f"{clock} 1" if clock == name else clock for each, clock in found.items()}
         return TimedTable(joined(frame, name, seconds, found, source), main.begin, final, notes)
     frame = frame.assign(**{main.name: main.values}).rename(columns={main.name: name})
@@ -140,11 +137,11 @@ def _clock(raw: RawTable, column: str, unit: str | None, source: str, usual: str
     if begin is None and said_unit is None and column in raw.units:
         said = f"time column {column!r} has the unit {raw.units[column]!r}, which is no time"
         raise InputError(f'{source}: {said}. Set time_unit, such as "s", or another time column.')
-    if begin is None and (since_1970 := _since_1970(values, said_unit)):
-        values, begin = seconds_of(pd.to_datetime(values, unit=since_1970))
-    if begin is None and said_unit is None and _are_day_numbers(values, column):
+    if begin is None and (unit_since := since_1970(values, said_unit)):
+        values, begin = seconds_of(pd.to_datetime(values, unit=unit_since))
+    if begin is None and said_unit is None and are_day_numbers(values, column):
         values, begin = seconds_of(pd.to_datetime(values, unit="D", origin="1899-12-30").dt.round("us"))
-    if said_unit is None and (column in raw.days or (begin is None and _may_be_days(values))):
+    if said_unit is None and (column in raw.days or (begin is None and may_be_days(values))):
         raise InputError(f'{source}: column {column or "(no name)"!r} may be in days. Set time_unit = "d" or "s".')
     numeric = pd.api.types.is_numeric_dtype(values.dtype)  # texts are refused by the reader, with their row
     factor = SECONDS[said_unit or usual or "s"] if begin is None and numeric else 1.0
@@ -247,19 +244,20 @@ def _scaled(values: Any, factor: float) -> Any:
     return values / round(1 / factor) if factor < 1 else values * factor
 
 
-def _with_milliseconds(raw: RawTable, clock: _Clock) -> _Clock:
-    """Return a clock with the milliseconds of a column of their own."""
-    found = [str(name) for name in raw.frame.columns if str(name).strip().lower() in _MILLISECONDS]
+def _with_parts(raw: RawTable, clock: _Clock) -> _Clock:
+    """Return a clock with the parts of seconds in another column."""
+    found = [str(name) for name in raw.frame.columns if str(name).strip().lower() in _PARTS]
     if len(found) != 1 or found[0] == clock.name or not pd.api.types.is_numeric_dtype(raw.frame[found[0]].dtype):
         return clock
-    values, parts = clock.seconds(), raw.frame[found[0]].to_numpy(dtype=np.float64)
+    parts = raw.frame[found[0]].to_numpy(dtype=np.float64) * _PARTS[found[0].strip().lower()]
+    values = clock.seconds()
     whole = not (values % 1.0).any() and (np.diff(values) == 0.0).any()
-    return replace(clock, values=values + parts / 1e3) if whole and parts.min() >= 0.0 and parts.max() < 1e3 else clock
+    return replace(clock, values=values + parts) if whole and parts.min() >= 0.0 and parts.max() < 1.0 else clock
 
 
 def _with_days(raw: RawTable, clock: _Clock, source: str) -> _Clock:
     """Return a clock of times of day with the dates beside it."""
-    found = [str(name) for name in raw.frame.columns if plain_name(str(name)) in _DATES and name != clock.name]
+    found = [str(name) for name in raw.frame.columns if plain_name(str(name)) in DATES and name != clock.name]
     if clock.begin is not None or len(found) != 1 or (part := time_of_day(raw.frame[clock.name])) is None:
         return clock
     days = days_of(raw.frame[found[0]], found[0], source)
@@ -269,7 +267,7 @@ def _with_days(raw: RawTable, clock: _Clock, source: str) -> _Clock:
     return replace(clock, values=days[0] + part - part.iloc[0], begin=days[1] + first)
 
 
-def _column(raw: RawTable, time: str | int, source: str) -> str | None:
+def time_column(raw: RawTable, time: str | int, source: str) -> str | None:
     """Return the time column; None if there is none."""
     names = [str(name) for name in raw.frame.columns]
     if isinstance(time, int):
@@ -290,10 +288,8 @@ def _column(raw: RawTable, time: str | int, source: str) -> str | None:
         timely = [each for each, unit in units.items() if unit is None or time_unit(unit) is not None or _of_time(unit)]
         plain = {name: plain_name(_bare(name)) for name in timely if _bare(name) != "T"}
         called = [name for known in TIME_NAMES for name in plain if plain[name] == known]
-        if len(called) == 1:
-            return called[0]
-        if called:
-            return _best_clock(raw, called, source)
+        if called and (best := _best_clock(raw, called, source)):
+            return best
         if "T" in timely:  # which is a temperature where there is another time
             return "T"
         if names[0] == "" and _are_times(raw.frame[""], source):  # an index of pandas
@@ -301,24 +297,60 @@ def _column(raw: RawTable, time: str | int, source: str) -> str | None:
         likely = [name for name in timely if is_time_name(name) and _likely_clock(raw, name, None, None, source)]
         if likely:
             return likely[0]
+        if called:
+            return called[0]
         if time_unit(raw.units.get(names[0], "")) is not None and _are_times(raw.frame[names[0]], source, mostly=0.9):
             return names[0]
+        texts = [str(name) for name in raw.frame.select_dtypes(exclude="number").columns]
+        dated = [name for name in texts if _are_times(raw.frame[name].head(1000), source)]
+        if len(dated) == 1:
+            return dated[0]
     return None
 
 
-def _best_clock(raw: RawTable, names: Sequence[str], source: str) -> str:
-    """Return the time column that increases, the least rounded of several."""
-    best, least = names[0], (np.inf, np.inf, np.inf)
-    for name in names:
-        try:
-            times = _clock(raw, name, None, source).seconds()
-            steps = np.diff(times[np.isfinite(times)])
-        except (InputError, ValueError, TypeError):
-            continue
-        rank = (float((steps < 0).any() or not steps.any()), float((steps == 0).any()), resolution(times))
-        if rank < least:
-            best, least = name, rank
+def _best_clock(raw: RawTable, names: Sequence[str], source: str) -> str | None:
+    """Return the time column that increases, the least rounded of several; None if there is none."""
+    raw = replace(raw, frame=raw.frame.head(1000))  # which decide
+    known = {name: clock for name in names if (clock := _read_clock(raw, name, source)) is not None}
+    ranks = {name: _rank(clock) for name, clock in known.items()}
+    dated = next(
+        (known[name] for name, rank in ranks.items() if rank[0] == 0.0 and known[name].begin is not None), None
+    )
+    ranks = {name: rank for name, rank in ranks.items() if dated is None or _lasts_as(known[name], dated)}
+    if not ranks:
+        return None
+    best = min(ranks, key=ranks.__getitem__)
+    others = [str(name) for name in raw.frame.columns if is_time_name(str(name)) and str(name) not in known]
+    for name in others if ranks[best] > (0.0, 1.0) else ():
+        clock = _likely_clock(raw, name, None, None, source)
+        if (
+            clock is not None
+            and _rank(clock) < ranks[best]
+            and same_clock(known[best].seconds(), clock.seconds(), anywhere=True)
+        ):
+            return name
     return best
+
+
+def _lasts_as(clock: _Clock, dated: _Clock) -> bool:
+    """Return whether times last as long as dates, up to their rounding."""
+    span, length = (float(np.ptp(each[np.isfinite(each)])) for each in (clock.seconds(), dated.seconds()))
+    return abs(span - length) <= 0.01 * length + 2 * resolution(dated.seconds())
+
+
+def _rank(clock: _Clock) -> tuple[float, float, float]:
+    """Return whether times go back, whether they repeat, and their rounding, s."""
+    times = clock.seconds()
+    steps = np.diff(times[np.isfinite(times)])
+    return float((steps < 0).any() or not steps.any()), float((steps == 0).any()), resolution(times)
+
+
+def _read_clock(raw: RawTable, name: str, source: str) -> _Clock | None:
+    try:
+        clock = _clock(raw, name, None, source)
+        return clock if clock.seconds().size else None
+    except (InputError, ValueError, TypeError):
+        return None
 
 
 def column_of(columns: Iterable[object], wanted: str) -> str | None:
@@ -356,31 +388,3 @@ def _unit_said(raw: RawTable, column: str) -> str | None:
         return time_unit(said)
     suffix = _WITH_SUFFIX.fullmatch(column)
     return suffix[2].lower() if suffix and said is None else None
-
-
-def _since_1970(values: Any, unit: str | None) -> Literal["s", "ms", "us", "ns"] | None:
-    """Return the unit of this century's epoch times, else None."""
-    first = values.iloc[0] if pd.api.types.is_numeric_dtype(values.dtype) and len(values) else 0
-    units: tuple[Literal["s", "ms", "us", "ns"], ...] = ("s", "ms", "us", "ns")
-    possible = [each for each in units if unit is None or SECONDS[unit] == SECONDS[each]]
-    return next((each for each in possible if _CENTURY[0] <= first * SECONDS[each] < _CENTURY[1]), None)
-
-
-def _may_be_days(values: Any) -> bool:
-    """Return whether numbers may be days: of MATLAB, or of a logger's intervals."""
-    if not pd.api.types.is_numeric_dtype(values.dtype):
-        return False
-    if len(values) > 2:
-        step = SECONDS["d"] * abs(float(values.iloc[-1]) - float(values.iloc[0])) / (len(values) - 1)
-        if any(abs(step - each) < 1e-4 * each for each in _LOGGED_SECONDS):
-            return True
-    if not values.between(*_MATLAB_DAYS).all():
-        return False
-    return bool((values % 1.0 > 0.0).any() and np.nanmedian(np.abs(np.diff(values))) < 1.0)
-
-
-def _are_day_numbers(values: Any, column: str) -> bool:
-    """Return whether a column of dates holds a spreadsheet's numbers of days."""
-    if column.strip().lower() not in _DATES or not pd.api.types.is_numeric_dtype(values.dtype):
-        return False
-    return bool(values.between(*_DAY_NUMBERS).all() and (values % 1.0 > 0.0).any())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -12,9 +13,10 @@ import numpy as np
 import pandas as pd
 
 from fmuid.array_types import Floats
-from fmuid.data.clock import TimedTable, time_name, with_time
+from fmuid.data.clock import TimedTable, time_column, time_name, with_time
 from fmuid.data.headers import OVERLOADS, RawTable, check_once, is_number, named, numbers_of
-from fmuid.data.readers import BINARY, WITH_SHEETS, read_binary
+from fmuid.data.long_tables import rows_of_signals, with_columns_of_signals
+from fmuid.data.readers import BINARY, WITH_SHEETS, format_of, is_text, read_binary
 from fmuid.data.readers.base import FileColumns
 from fmuid.data.readers.json_text import read_json
 from fmuid.data.readers.text import read_text
@@ -72,7 +74,8 @@ def read_data(
     sample_rate : float, optional
         Samples per second of a file without times.
     sheet : str or int, optional
-        Sheet of a spreadsheet or frame of an HDF5 file, by name or place from 1. Default: the first with a table.
+        Sheet of a spreadsheet or frame of an HDF5 file, by name or place from 1. Default: the first with
+        ten samples, else the longest.
     missing : sequence of str or float, optional
         Texts and numbers that stand for no sample, such as ``["OL", -9999]``. Values far beyond all others are
         refused where they are used, unless it is given.
@@ -98,18 +101,17 @@ def read_data(
     """
     path = Path(path)
     source = source or str(path)
-    suffix = path.suffix.lower()
+    if not is_file(path):
+        raise InputError(f"{source}: {'is a folder' if is_folder(path) else 'file not found'}. Give a data file.")
+    try:
+        suffix = format_of(path)
+    except PermissionError:
+        raise InputError(f"{source}: permission denied. Change the permissions of the file.") from None
     inner = Path(path.stem).suffix.lower()
     text = suffix not in (*JSON, *BINARY) and inner not in ((*JSON, *BINARY) if suffix in (".gz", ".zip") else ())
     known = suffix in TABLE_SUFFIXES or (text and (suffix in TEXT or suffix in (".gz", ".zip")))
     if sheet is not None and suffix not in WITH_SHEETS:
         raise InputError(f"{source}: sheet {sheet!r}: this format has no sheets. Remove it.")
-    if not is_file(path):
-        raise InputError(f"{source}: {'is a folder' if is_folder(path) else 'file not found'}. Give a data file.")
-    try:
-        path.open("rb").close()  # before libraries that say something else of it
-    except PermissionError:
-        raise InputError(f"{source}: permission denied. Change the permissions of the file.") from None
     if not known and not (text and _is_text(path)):
         said = f"unknown format {path.suffix or 'without suffix'!r}"
         raise InputError(f"{source}: {said}. Save it as .csv, .mat, .h5, .tdms or .mf4.")
@@ -121,12 +123,15 @@ def read_data(
         raw = _raw_table(read_binary(path, source, sheet), source)
     if len(raw.frame) == 0:
         raise InputError(f"{source}: no samples below the header. Give measured samples.")
+    rows = rows_of_signals(raw) if time is not None else None
+    if rows is not None and (column := time_column(rows, time or "time", source)) is not None:
+        raw = with_columns_of_signals(rows, column)
     raw = replace(raw, frame=raw.frame.apply(_without_marks, marks=tuple(missing or ())))
     timed = TimedTable(raw.frame)
     if time is not None:
         timed = with_time(raw, time, time_unit, sample_rate, clocks or {}, source)
         numeric_column(timed.frame, time_name(time), source)
-    frame = timed.frame
+    frame = _without_events(timed.frame, time_name(time) if time is not None else "")
     others = set(raw.frame.columns) & set(frame.columns) - {time, *timed.clocks.values()}
     frame.attrs = {UNITS: {name: unit for name, unit in raw.units.items() if name in others}, SOURCE: source}
     frame.attrs |= {LEFT_OUT: {**raw.left_out, **timed.notes}}
@@ -139,8 +144,7 @@ def read_data(
 def _is_text(path: Path) -> bool:
     """Return whether a file begins with 8-bit text."""
     with path.open("rb") as file:
-        start = file.read(1 << 12)
-    return bool(start) and all(byte > 31 or byte in b"\t\n\r\f" for byte in start)
+        return is_text(file.read(1 << 12))
 
 
 def with_missing(frame: pd.DataFrame, missing: Sequence[float]) -> pd.DataFrame:
@@ -168,6 +172,14 @@ def _without_marks(column: pd.Series[Any], marks: Sequence[str | float]) -> pd.S
             return kept
         return pd.Series(numbers_or_none, kept.dropna().index, dtype=np.float64).reindex(column.index)
     return column
+
+
+def _without_events(frame: pd.DataFrame, time: str) -> pd.DataFrame:
+    """Return a frame without last rows of text alone, a logger's events."""
+    others = frame.drop(columns=time, errors="ignore")
+    measured, texts = (others[[name for name in others if others[name].dtype.kind in kind]] for kind in ("f", "OTU"))
+    is_event = (measured.isna().all(axis="columns") & texts.notna().any(axis="columns")).to_numpy()
+    return frame if is_event.all() or not is_event[-1] else frame[: int(np.flatnonzero(~is_event)[-1]) + 1]
 
 
 def _raw_table(found: FileColumns, source: str) -> RawTable:
@@ -214,8 +226,18 @@ def numeric_column(frame: pd.DataFrame, column: str, source: str) -> Floats:
         raise InputError(f"{source}: {said}. Convert it to numbers, times to seconds.")
     row, cell = _first_text(series)
     comma = "," in cell and is_number(cell, ",")
-    remedy = "Write decimal points." if comma else "Give numbers; leave missing cells empty."
+    remedy = "Write decimal points." if comma else _remedy_of_texts(series)
     raise InputError(f"{source}: column {column!r}: {cell!r} in row {row} is no real number. {remedy}")
+
+
+def _remedy_of_texts(series: pd.Series[Any]) -> str:
+    """Return what to do with texts: few among numbers stand for no sample."""
+    cells = series.dropna().astype(str)
+    texts = cells[pd.to_numeric(cells, errors="coerce").isna()]
+    known = [*texts.unique()]
+    if len(known) > 4 or 2 * len(texts) > len(cells):
+        return "Give numbers; leave missing cells empty."
+    return f"Set missing = {json.dumps(known, ensure_ascii=False)} if they stand for no sample."
 
 
 def _first_text(series: pd.Series[Any]) -> tuple[int, str]:

@@ -7,6 +7,8 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import date, datetime, time, timedelta
+from functools import partial
+from itertools import accumulate
 from typing import TYPE_CHECKING, Any
 
 import numpy.typing as npt
@@ -28,8 +30,10 @@ MISSING = ("", "-", "--", "---", "nan", "na", "n/a", "#n/a", "null", "none", "in
 _MARKS = """---- ----- – — ? * nil ∞ -∞ +∞ missing nodata bad invalid error err fault burnout open ******** ###### +++++
 1.#inf -1.#inf 1.#ind -1.#ind 1.#qnan #value! #num! #div/0! #ref! #name? #wert! #zahl! #bezug! #valeur! #n/v #nv
 ol -ol +ol o.l o.l. 0.l .ol 0l overload overflow over +over -over overrange over-range ovld ovl ovr under underflow"""
-NO_SAMPLE = frozenset((*MISSING, *_MARKS.split(), "over range", "no data", "no signal", "underrange"))
-"""The same of samples alone: errors of spreadsheets, overload of instruments."""
+_WORDS = """over range, no data, no signal, underrange, bad input, bad output, i/o timeout, comm fail, pt created,
+shutdown, not connected, out of serv, no result, no sample, unavailable, unknown, not available, (null)"""
+NO_SAMPLE = frozenset((*MISSING, *_MARKS.split(), *_WORDS.replace("\n", " ").split(", ")))
+"""The same of samples alone: errors of spreadsheets, overload of instruments, states of historians."""
 
 OVERLOADS = (9.9e37, 9.91e37)
 """Numbers for infinity and no number in SCPI (1999.0, section 7.2.1)."""
@@ -67,11 +71,24 @@ _RATE_KEYS = (
     "abtastrate",
 )
 _COUNT_KEYS = ("blocksize", "samples", "record length", "number of points", "number of samples")
-_NAME_KEYS = ("tracename", "trace name", "channel name", "signal name", "label", "source", "signal", "channel", "name")
+_NAME_KEYS = (
+    "tag",
+    "tracename",
+    "trace name",
+    "channel name",
+    "signal name",
+    "label",
+    "source",
+    "signal",
+    "channel",
+    "name",
+)
 _UNIT_KEYS = ("vunit", "vertical units", "y_unit_label", "unit", "units", "einheit", "einheiten")
 """First cells of the lines above a header that say time between samples, their number, names and units."""
 _HERTZ = {"": 1.0, "Hz": 1.0, "hz": 1.0, "kHz": 1e3, "MHz": 1e6, "Sa/s": 1.0, "S/s": 1.0, "kS/s": 1e3, "MS/s": 1e6}
 _WITH_TIME_UNIT = re.compile(r"(?P<number>[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?)\s*(?P<unit>[^\W\d]*(/s)?)", re.ASCII)
+_MARKED = re.compile(r"\s*[\[{<]")
+"""Begin of lines such as ``[Data]``."""
 _NO_NAME = re.compile(r"[\d:./\s-]*")
 """Dates and times in the place of names."""
 _INDEX = re.compile(r"[\d\s,:]*")
@@ -132,6 +149,8 @@ def split_header(header: str) -> tuple[str, str | None]:
     unit = (found["round"] if found["round"] is not None else found["square"]).strip()
     if found["name"] == "der" or (not found["gap"] and _INDEX.fullmatch(unit)):
         return header, None
+    if not is_unit(unit) and (inner := split_header(found["name"]))[1]:  # a remark after the unit
+        return inner
     spaced = found["square"] is not None and bool(found["gap"]) and len(unit) <= _UNIT_LENGTH
     return (found["name"], unit) if is_unit(unit) or (unit and (spaced or _like_unit(unit))) else (header, None)
 
@@ -200,10 +219,9 @@ def check_once(source: str, names: Sequence[str]) -> None:
 def find_head(rows: Sequence[Sequence[Cell]], decimal: str = ".") -> TableHeader | None:
     """Return the header above most numeric rows of its length, if any."""
     numeric = [any(is_number(cell, decimal) for cell in row) for row in rows]
+    heads = {k: _above(rows, k) for k in range(1, len(rows)) if numeric[k]}
     begins = [
-        k
-        for k in range(1, len(rows))
-        if numeric[k] and not numeric[k - 1] and len(rows[k]) == len(rows[k - 1]) and any(map(_there, rows[k - 1]))
+        k for k, a in heads.items() if not numeric[a] and len(rows[k]) == len(rows[a]) and any(map(_there, rows[a]))
     ]
     if not begins:
         return None
@@ -212,29 +230,72 @@ def find_head(rows: Sequence[Sequence[Cell]], decimal: str = ".") -> TableHeader
         sum(len(rows[k]) == len(rows[a]) and numeric[k] for k in range(a, b)) for a, b in zip(begins, ends, strict=True)
     ]
     first = begins[lengths.index(max(lengths))]
-    above = first - 1
+    header = above = heads[first]
     while above >= 0 and not numeric[above] and len(rows[above]) == len(rows[first]):
         above -= 1
-    header, top = first - 1, _texts(rows[above + 1])
+    top = _texts(rows[above + 1])
     index, *others = _texts(rows[header])
     if plain_name(index) in TIME_NAMES and not any(others) and all(top):  # pandas names an index below
         return TableHeader((index, *top[1:]), (), first)
-    step = _step_said(rows[:first], decimal)
-    for k in range(above + 2, first):
+    made = partial(TableHeader, first=first, step=_step_said(rows[:first], decimal), rows=_rows_said(rows[:first]))
+    keyed = (_of_one_key(row) for row in rows[header + 1 : first])
+    if units := next((cells for key, cells in keyed if key in _UNIT_KEYS), ()):
+        return made(_texts(rows[header]), units)
+    for k in range(above + 2, header + 1):
         if _are_units(rows[k]):
-            return TableHeader(_texts(rows[k - 1]), _texts(rows[k]), first, step, _rows_said(rows[:first]))
+            names, units = _with_names_above(rows[above + 1 : k], rows[k])
+            return made(names, units)
     names = _texts(rows[header])
     if "" in names[1:] or len({*names}) < len(names):  # as how each column was made: Avg, Smp
         for k in range(header - 1, above, -1):
             if all(each := _texts(rows[k])) and len({*each}) == len(each) and any(map(is_unit, _texts(rows[k + 1]))):
-                return TableHeader(each, _texts(rows[k + 1]), first, step, _rows_said(rows[:first]))
+                return made(each, _texts(rows[k + 1]))
     alike = [_texts(row) for row in rows[:header] if len(row) == len(names)]
     if alike and _are_units(rows[header]) and all(names[1:]):  # names are numbers of channels
-        return TableHeader(alike[-1], names, first, step, _rows_said(rows[:first]))
+        return made(alike[-1], names)
     said = {each[0].lower(): each for each in reversed(alike)}
-    if all(_NO_NAME.fullmatch(name) for name in names[1:]):
-        names = next((said[key] for key in _NAME_KEYS if key in said), names)
-    return TableHeader(names, _units_said(rows[:header], names), first, step, _rows_said(rows[:first]))
+    above_names = next((said[key] for key in _NAME_KEYS if key in said), ())
+    if above_names and all(_NO_NAME.fullmatch(name) for name in names[1:]):
+        names = above_names
+    units = _units_said(rows[:header], names)
+    if above_names and len({*names}) < len(names) == len(above_names):  # Min and Max of each channel
+        begins = [*accumulate((k if own else 0 for k, own in enumerate(above_names)), max)]
+        names = tuple(f"{above_names[a]} {name}" if a else name for a, name in zip(begins, names, strict=True))
+        units = tuple(unit or units[a] for a, unit in zip(begins, units, strict=True)) if units else ()
+    return made(names, units)
+
+
+def _above(rows: Sequence[Sequence[Cell]], first: int) -> int:
+    """Return the row above samples, beyond ``[Data]`` and rows of one key."""
+    k = first - 1
+    while k > 0 and (_of_one_key(rows[k])[0] or (len(rows[k]) == 1 and _MARKED.match(str(rows[k][0])))):
+        k -= 1
+    return k
+
+
+def _of_one_key(row: Sequence[Cell]) -> tuple[str, tuple[str, ...]]:
+    """Return key and texts of a row such as ``Units: V, Units: A``; no key if they have none in common."""
+    texts = _texts(row)
+    keys = {text.partition(":")[0].strip().lower() if ":" in text else "" for text in texts if text}
+    key = keys.pop() if len(keys) == 1 else ""
+    return ("", ()) if _NO_NAME.fullmatch(key) else (key, tuple(text.partition(":")[2].strip() for text in texts))
+
+
+def _with_names_above(rows: Sequence[Sequence[Cell]], units: Sequence[Cell]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return names, those missing from rows further up, and units; words for time among units are names."""
+    names, *more = [_texts(row) for row in reversed(rows)]
+    below = _texts(units)
+    if "" in names[1:]:
+        more = [*more, tuple("" if is_unit(text) else text for text in below)]
+        names = tuple(next((row[k] for row in (names, *more) if row[k]), "") for k in range(len(names)))
+    return names, tuple(
+        "" if text == name or _is_clock(text) else text for name, text in zip(names, below, strict=True)
+    )
+
+
+def _is_clock(text: str) -> bool:
+    """Return whether a text names a time and no unit."""
+    return is_time_name(text) and time_unit(text) is None
 
 
 def _units_said(rows: Sequence[Sequence[Cell]], names: Sequence[str]) -> tuple[str, ...]:
@@ -247,7 +308,8 @@ def _units_said(rows: Sequence[Sequence[Cell]], names: Sequence[str]) -> tuple[s
         if key.lower() not in _UNIT_KEYS or known == 0:
             continue
         places = [k for k, name in enumerate(names) if k and name and not is_time_name(name)]
-        places = places if len(units) == len(places) else [*range(1, len(names))]
+        own = len(row) == len(names) and not any(row[k] for k in range(1, len(names)) if k not in places)
+        places = places if len(units) == len(places) and not own else [*range(1, len(names))]
         if len(units) == len(places) or len(units) < len(names) <= len(row):
             said = dict(zip(places, units, strict=False))
             return tuple(said.get(k, "") for k in range(len(names)))
@@ -339,9 +401,10 @@ def _there(cell: Cell) -> bool:
 def _are_units(row: Sequence[Cell]) -> bool:
     """Return whether cells are units; of three and more with a time, some may be unknown."""
     texts = [text.strip("[]() ") for text in _texts(row)]
-    there = [text for text in texts if text not in ("", "-")]
-    known = [text for text in there if is_unit(text) or time_unit(text) is not None]
-    timed = len(there) > 2 and any(text in SECONDS for text in there) and 2 * len(known) > len(there)
+    there = [text for text in texts if text not in ("", "-") and not _is_clock(text)]
+    known = [text for text in there if is_unit(text) or (text == texts[0] and time_unit(text) is not None)]
+    timed = len(there) > 2 and any(text in SECONDS or _is_clock(text) for text in texts)
+    timed = timed and 2 * len(known) > len(there)
     alike = bool(known) and all(text in known or _like_unit(text) for text in there)
     return bool(there) and (
         len(known) == len(there) or alike or (timed and all(len(text) <= _UNIT_LENGTH for text in there))

@@ -22,18 +22,23 @@ _ORDERS = (
     "%d{0}%m{0}%y",
     "%m{0}%d{0}%y",
     "%y{0}%m{0}%d",
+    "%d{0}%b{0}%y",
+    "%m{0}%d",
+    "%d{0}%m",
 )
 _DOTTED = ("%d{0}%m{0}%Y", "%d{0}%m{0}%y")
 """With dots the day is first."""
 _CLOCKS = (" %H:%M:%S.%f", " %H:%M:%S", " %H:%M", " %I:%M:%S.%f %p", " %I:%M:%S %p", " %I:%M %p")
 _COLON = re.compile(r"(\d:\d{2}:\d{2}):(?=\d{1,6}$)")
 """A colon before parts of a second."""
-_DATED = re.compile(r"\d+[./-]\w+[./-]\d+.*:")
+_DATED = re.compile(r"\d+[./-]\w+(?:[./-]\d+)?.*:")
+_MIDNIGHT = re.compile(r"(?<=[ T])24:00(?=:00|$)")
 _CLOCK = re.compile(r"(\d+ days )?\d{1,3}:\d{2}(:\d{1,2}([.,]\d+)?)?")
 _OFFSET = r"(?:Z|[+-]\d{2}:?\d{2})$"
 _WITH_UNIT = re.compile(r"\s*(?P<number>[+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*(?P<unit>[a-zµ]+)\s*")
 _REWRITTEN = (
     (re.compile(r"^\s+|\s+$"), ""),
+    (re.compile(r"\s\s+"), " "),
     (re.compile(r"^(\d{1,2})\.(\d{2})(?=\s?[AaPp]\.?[Mm]\.?$)"), r"\1:\2"),
     (re.compile(r"(?<=\d)\s?([AaPp])\.?[Mm]\.?$"), r" \1m"),
     (re.compile(r"^(\d{4}-\d{2}-\d{2})[-_ ](\d{2})-(\d{2})-(\d{2})$"), r"\1T\2:\3:\4"),
@@ -136,9 +141,14 @@ def check_local_times(dates: pd.Series[Any], seconds: Floats, column: str, sourc
 
 
 def _dates(texts: pd.Series[Any], column: str, source: str) -> pd.Series[Any] | None:
-    """Return texts as dates, None if they are none."""
+    """Return texts as dates, None if they are none; 24:00 is midnight of the next day."""
     with suppress(ValueError, TypeError):  # the other orders are tried below
         return pd.to_datetime(texts, format="ISO8601")
+    late = pd.to_timedelta(texts.str.contains(_MIDNIGHT).astype(int), unit="D")
+    if late.any():
+        texts = texts.str.replace(_MIDNIGHT, "00:00", regex=True)
+        with suppress(ValueError, TypeError):
+            return pd.to_datetime(texts, format="ISO8601") + late
     with suppress(ValueError, TypeError):  # offsets that change where the clock is put forward or back
         if re.search(_OFFSET, str(texts.iloc[0])) and texts.str.contains(_OFFSET, regex=True).all():
             in_utc = pd.to_datetime(texts, format="ISO8601", utc=True)
@@ -151,8 +161,15 @@ def _dates(texts: pd.Series[Any], column: str, source: str) -> pd.Series[Any] | 
     forms = [order.format(mark) + clock for order, mark, clock in itertools.product(orders, "./-", _CLOCKS)]
     fitting = [form for form in forms if not pd.isna(pd.to_datetime(points.iloc[0], format=form, errors="coerce"))]
     every = [pd.to_datetime(points, format=form, errors="coerce") for form in fitting]
-    readings = [read for read in every if not read.isna().any()]
+    readings = [read + late for read in every if not read.isna().any()]
+    readings = [read for read in readings if not _leaps(read)] or readings
     if any(not (read == readings[0]).all() for read in readings[1:]):
         said = f"day and month of {texts.iloc[0]!r} are ambiguous"
         raise InputError(f"{source}: column {column!r}: {said}. Write dates as 2026-02-28 12:00:00.")
     return readings[0] if readings else None
+
+
+def _leaps(dates: pd.Series[Any]) -> bool:
+    """Return whether dates go back or leap, as with months for days."""
+    steps = np.diff(dates.to_numpy())
+    return bool(steps.size and ((steps < np.timedelta64(0)).any() or steps.max() > 100 * np.median(steps)))

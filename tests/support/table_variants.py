@@ -14,7 +14,7 @@ from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 from scipy.linalg import expm
 
-from tests.support import instrument_texts, logger_texts
+from tests.support import historian_texts, instrument_texts, logger_texts
 from tests.support.mat4 import characters, write_mat4
 
 MODEL = """
@@ -224,7 +224,8 @@ TEXTS: dict[str, tuple[str, str | bytes]] = {
 }  # fmt: skip
 
 
-TEXTS |= instrument_texts.texts(FRAME, DATES) | logger_texts.texts(FRAME, DATES)
+for _texts in (instrument_texts, logger_texts, historian_texts):
+    TEXTS |= _texts.texts(FRAME, DATES)
 
 
 def write_gzip(path: Path) -> None:
@@ -306,7 +307,7 @@ def write_tdms(path: Path) -> None:
         ])  # fmt: skip
 
 
-def write_mdf(path: Path) -> None:
+def write_mdf(path: Path) -> Path:
     from asammdf import MDF, Signal
 
     units = {"u": "V", "i": "mA", "w": "rpm"}
@@ -314,7 +315,7 @@ def write_mdf(path: Path) -> None:
     times = FRAME["time"].to_numpy()
     with MDF(version="4.10" if path.suffix == ".mf4" else "3.30") as file:
         file.append([Signal(values.to_numpy(), times, name=name, unit=units[name]) for name, values in columns.items()])
-        file.save(path)
+        return Path(file.save(path))
 
 
 def signals() -> np.ndarray[Any, Any]:
@@ -368,6 +369,13 @@ def write_vectors(path: Path, vectors: Mapping[str, Any]) -> None:
             file[name] = values
 
 
+def write_with_summary(path: Path) -> None:
+    """Write a book whose first sheet is a short summary."""
+    with pd.ExcelWriter(path, engine="openpyxl") as book:
+        pd.DataFrame({"Channel": [8, 9], "Cycles": [1, 2]}).to_excel(book, sheet_name="Global_Info", index=False)
+        FRAME.to_excel(book, sheet_name="Channel_1-008", index=False)
+
+
 IDDATA = {
     "InputData": np.array([COLUMNS["u"][:, None], None], dtype=object)[:1],
     "OutputData": np.array([FRAME[["i", "w"]].to_numpy(), None], dtype=object)[:1],
@@ -376,6 +384,8 @@ IDDATA = {
     **{"OutputName": np.array(["i", "w"], dtype=object), "OutputUnit": np.array(["A", "rad/s"], dtype=object)},
 }
 """An object of MATLAB's System Identification Toolbox, as it is stored."""
+INSPECTOR = [None, *["Type: double"] * 3], [None, *(f"Units: {unit}" for unit in ("V", "A", "rad/s"))]
+"""Rows below the names, of Simulink's Data Inspector."""
 RIG, DRIVE = ["Rig 4", None, None, None], [None, "Drive", None, None]
 Write = Callable[[Path], object]
 FILES: dict[str, Write] = {
@@ -424,6 +434,11 @@ FILES: dict[str, Write] = {
     "lost.h5": lambda path: write_vectors(path, COLUMNS | {"w": COLUMNS["w"][::2]}),
     "lost.mat": lambda path: savemat(path, COLUMNS | {"w": COLUMNS["w"][::2]}),
     "a.pq": FRAME.to_parquet,
+    "summary.xlsx": write_with_summary,
+    "inspector.xlsx": lambda path: write_rows(path, [*FRAME], *INSPECTOR),
+    "mdf.dat": lambda path: write_mdf(path.with_suffix(".mf4")).rename(path),
+    "text.xls": lambda path: path.write_text(text("time\tu\ti\tw", "\t")),
+    "page.xls": lambda path: path.write_text(FRAME.to_html()),
     "a.mdf": write_mdf,
 }  # fmt: skip
 
@@ -451,11 +466,16 @@ SAID = {
     "unnamed.mat": "no numeric vectors",
     "two Modelica tables": "2 Modelica tables",
     "one block below another": "row 121 goes back",
-    "percent in cells": "is no real number",
+    "percent in cells": "unit '%' of 'w' does not convert",
     "rows are columns": "is no real number",
     "Tektronix TDS": "no column for the input u",
     "Keysight InfiniiVision": "no column for the output",
     "scope-matrix.mat": "no column for the output",
+    "minimum and maximum": "undecided: u Min or u Max",
+    "two curves": "line 126 among the samples has no number",
+    "marks among samples": "line 61 among the samples has no number ('MARK 001",
+    "messages of a bus": "no table. Save it as CSV",
+    "page.xls": "a page in HTML",
     "lost.mat": "'w': 60 samples in place of 120",
     "lost.h5": "'w': 60 samples in place of 120",
 }

@@ -31,6 +31,34 @@ WITH_SHEETS = tuple(suffix for suffix, (_, read) in BINARY.items() if read in (r
 """Suffixes of files that may hold several tables."""
 
 
+_BEGINS = {
+    b"MDF     ": ".mf4",
+    b"\x89HDF": ".h5",
+    b"TDSm": ".tdms",
+    b"PAR1": ".parquet",
+    b"ARROW1": ".feather",
+    b"MATLAB 5.0": ".mat",
+}
+"""First bytes of formats that tools also write under other suffixes."""
+
+
+def format_of(path: Path) -> str:
+    """Return the suffix of a file's format: as its begin says, if its own is none of binary files."""
+    suffix = path.suffix.lower()
+    with path.open("rb") as file:
+        start = file.read(1 << 12)
+    if suffix == ".xls" and is_text(start):
+        return ".txt"
+    return (
+        suffix if suffix in BINARY else next((own for begin, own in _BEGINS.items() if start.startswith(begin)), suffix)
+    )
+
+
+def is_text(start: bytes) -> bool:
+    """Return whether first bytes are 8-bit text."""
+    return bool(start) and all(byte > 31 or byte in b"\t\n\r\f" for byte in start)
+
+
 def read_binary(path: Path, source: str, sheet: str | int | None = None) -> FileColumns:
     """Read the columns of a binary file in the reader process."""
     try:
@@ -43,7 +71,7 @@ def read_binary(path: Path, source: str, sheet: str | int | None = None) -> File
 
 def _plain_columns(path: Path, source: str, sheet: str | int | None) -> dict[str, Any]:
     """Read a binary file; return types that a process can send."""
-    name, read = BINARY[path.suffix.lower()]
+    name, read = BINARY[format_of(path)]
     try:
         found = read(path, source, sheet)
     except (InputError, MemoryError, KeyboardInterrupt, SystemExit):

@@ -16,19 +16,24 @@ _CELL = re.compile(r"<c ([^>]*)><v>([-+.\deE]+)</v>")
 
 
 def read_spreadsheet(path: Path, source: str, sheet: str | int | None) -> FileColumns:
-    """Read a sheet by name or place from 1; default: the first with a table."""
+    """Read a sheet by name or place from 1; default: the first with ten samples, else the one with most."""
     book = library("python_calamine", "excel", source).CalamineWorkbook.from_path(path)
+    best: tuple[list[list[Cell]], TableHeader] | None = None
     for name in book.sheet_names if sheet is None else [chosen(book.sheet_names, sheet, source)]:
         filled = [row for row in book.get_sheet_by_name(name).to_python() if not all(map(is_missing, row))]
         widest = range(max(map(len, filled), default=0))
         columns = [k for k in widest if not all(is_missing(row[k]) for row in filled)]
         rows = [[row[k] for k in columns] for row in filled]
         head = find_head(rows)
-        if head is not None:
-            check_units(head, source)
-            return _columns(rows, head, path)
-    which = "no sheet holds" if sheet is None else f"the sheet {sheet!r} does not hold"
-    raise InputError(f"{source}: {which} a table. Give a header with names, and rows of samples.")
+        if head is not None and (best is None or len(rows) - head.first > len(best[0]) - best[1].first):
+            best = rows, head
+        if best is not None and len(best[0]) - best[1].first >= 10:  # no summary
+            break
+    if best is None:
+        which = "no sheet holds" if sheet is None else f"the sheet {sheet!r} does not hold"
+        raise InputError(f"{source}: {which} a table. Give a header with names, and rows of samples.")
+    check_units(best[1], source)
+    return _columns(*best, path)
 
 
 def _columns(rows: list[list[Cell]], head: TableHeader, path: Path) -> FileColumns:

@@ -10,12 +10,11 @@ import re
 import warnings
 import zipfile
 import zlib
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from itertools import islice
+from itertools import dropwhile, islice
 from pathlib import Path
 from typing import IO, Any
 
@@ -35,27 +34,26 @@ from fmuid.data.headers import (
     named,
     numbers_of,
 )
+from fmuid.data.readers.cell_units import without_units
 from fmuid.data.readers.encodings import decoded
 from fmuid.data.readers.instruments import head_of, rewriter_of
+from fmuid.data.readers.text_rows import SPACES, is_text_row, plain_row, rows_of, without_blank_ends
 from fmuid.errors import InputError
+from fmuid.formatting import bounded
 
 _LOOKED_AT = 1 << 18
 """Bytes that are looked at to find separator and head."""
 _END = 1 << 14
 """Bytes in which lines after the samples are looked for."""
-_SPACES = r"\s+"
-_SEPARATORS = (",", ";", "\t", "|", _SPACES)
+_SEPARATORS = (",", ";", "\t", "|", SPACES)
 _SPREADSHEET = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
 """First bytes of .xlsx, .ods and .zip, and of .xls."""
 _OF_MACS = re.compile(r"(^|/)(__MACOSX/|\.)")
 """Entries that a Mac adds to archives."""
-_COMMENT = ("#", "%", "//")
 _TOO_MANY = re.compile(r"in line (?P<row>\d+), saw (?P<cells>\d+)")
 _OPEN_QUOTE = re.compile(r"inside string starting at row (?P<row>\d+)")
 """What pandas' parser says."""
 _MARKS = sorted({form for mark in NO_SAMPLE if "inf" not in mark for form in (mark, mark.upper(), mark.title())})
-_COMMENTS = "Comment"
-"""Last header of LabVIEW, above cells that are often left out."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +79,8 @@ def read_text(path: Path, source: str) -> RawTable:
     for encoding, text in decoded(start, whole=short):
         if "\0" in text:
             raise InputError(f"{source}: not a text file. Give a table.")
+        if text.lstrip("\ufeff \t\r\n").startswith(("<!", "<?", "<html", "<HTML", "<table")):
+            raise InputError(f"{source}: a page in HTML or XML. Save it as .xlsx or .csv.")
         with suppress(UnicodeDecodeError):  # further down: the next encoding is tried
             again = _as_utf8(opened, encoding, text)
             rewrite = rewriter_of(text.removeprefix("\ufeff"))
@@ -98,6 +98,9 @@ def read_text(path: Path, source: str) -> RawTable:
             frame = _samples(_without_end(again, layout), source, layout, names)
             if clock is not None and pd.api.types.is_numeric_dtype(frame[names[0]].dtype):
                 frame[names[0]] = clock[0] + clock[1] * frame[names[0]]
+            for name in frame.select_dtypes(["object", "str"]).columns.difference([*said]):
+                frame[name], unit = without_units(frame[name], layout.decimal)
+                said |= {} if unit is None else {name: unit}
             if layout.head.step is not None:  # it may stand for an empty column of times
                 frame = frame.loc[:, frame.notna().any()]
             return RawTable(frame, said, step=layout.head.step, rows=layout.head.rows)
@@ -178,7 +181,7 @@ def _without_end(opened: Callable[[], IO[bytes]], layout: _Layout) -> Callable[[
 
 def _says_nothing(line: str, layout: _Layout) -> bool:
     """Return whether a line has no sample and is no cut row."""
-    row = next((row for _, row in _rows(iter([line]), layout.separator)), [""])
+    row = next((row for _, row in rows_of(iter([line]), layout.separator)), [""])
     if all(map(is_missing, row)):
         return True
     numeric = any(is_number(cell, layout.decimal) for cell in row)
@@ -202,24 +205,15 @@ def _opener(path: Path, source: str) -> Callable[[], IO[bytes]]:
         raise InputError(f"{source}: cannot be unpacked. Pack it again, or give the plain text.") from None
 
 
-def _rows(lines: Iterator[str] | IO[str], separator: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield each non-blank row with its line number."""
-    if separator == _SPACES:
-        yield from ((number, line.split()) for number, line in enumerate(lines, start=1) if line.strip())
-        return
-    reader = csv.reader(lines, delimiter=separator, skipinitialspace=True)
-    yield from ((reader.line_num, row) for row in reader if len(row) > 1 or "".join(row).strip())
-
-
 def _layout(source: str, text: str) -> _Layout:
     """Return the layout with the most numeric columns."""
     best, most = None, 0
     for separator in _SEPARATORS:
         try:
-            read = list(islice(_rows(io.StringIO(text), separator), 200))
+            read = list(islice(rows_of(io.StringIO(text), separator), 200))
         except csv.Error:  # no table with this separator
             continue
-        rows, blank = _without_blank_ends([_plain(row, separator) for _, row in read])
+        rows, blank = without_blank_ends([plain_row(row, separator) for _, row in read])
         for decimal in (".", ","):
             head = find_head(rows, decimal)
             if head is None or (len(head.names) == 1 and decimal == ","):
@@ -227,37 +221,17 @@ def _layout(source: str, text: str) -> _Layout:
             columns = _numeric_columns(rows[head.first :], len(head.names), decimal)
             if columns > most:
                 width = len(head.names) + blank
-                fast = separator != _SPACES and f"{separator} " not in text
+                fast = separator != SPACES and f"{separator} " not in text
                 most, best = columns, _Layout(separator, decimal, head, read[head.first - 1][0], width, fast)
     best = best or _as_it_is(source, text)
     check_units(best.head, source)
     return best
 
 
-def _without_blank_ends(rows: list[list[str]]) -> tuple[list[list[str]], int]:
-    """Return rows without always empty last cells, and their count."""
-    usual = Counter(map(len, rows)).most_common(1)
-    length = usual[0][0] if usual else 0
-    rows = [row[:length] if len(row) == length + 1 and row[-1].strip() in ("", _COMMENTS) else row for row in rows]
-    regular, ends = [row for row in rows if len(row) == length], 0
-    while ends < length - 1 and not any(row[-1 - ends].strip().removeprefix(_COMMENTS) for row in regular):
-        ends += 1
-    return [row[: length - ends] if len(row) == length else row for row in rows] if ends else rows, ends
-
-
-def _plain(row: list[str], separator: str) -> list[str]:
-    """Return a row without a leading comment mark."""
-    first = row[0].strip()
-    for mark in _COMMENT:
-        if first.startswith(mark):
-            rest = first[len(mark) :].strip()
-            return [rest, *row[1:]] if rest or separator != _SPACES else row[1:]
-    return row
-
-
 def _numeric_columns(rows: Sequence[Sequence[str]], names: int, decimal: str) -> int:
-    """Return the number of numeric columns."""
+    """Return the number of numeric columns of the first block of rows."""
     regular = [row for row in rows if len(row) == names]
+    regular = regular[: next((k for k, row in enumerate(regular) if is_text_row(row, decimal)), None)]
     columns = list(zip(*regular, strict=True))
     return sum(
         any(is_number(cell, decimal) for cell in column)
@@ -269,7 +243,7 @@ def _numeric_columns(rows: Sequence[Sequence[str]], names: int, decimal: str) ->
 def _as_it_is(source: str, text: str) -> _Layout:
     """Return a comma-separated layout with the first line as header, or refuse."""
     try:
-        read = list(_rows(io.StringIO(text), ","))
+        read = list(rows_of(io.StringIO(text), ","))
     except csv.Error:  # its sentences are for programmers
         said = "no text table, or lines end in carriage returns"
         raise InputError(f"{source}: {said}. End them in line feeds.") from None
@@ -280,6 +254,8 @@ def _as_it_is(source: str, text: str) -> _Layout:
     header = tuple(cell.strip() for cell in rows[0])
     if all(is_number(part) for name in header for part in name.split()) or is_number(header[0], ","):
         raise InputError(f"{source}: no header. Write the names of the columns into the first line.")
+    if len({len(row) for row in rows[:20]}) > 2 or (len(header) == 1 and header[0].count(" ") > 1):
+        raise InputError(f"{source}: no table. Save it as CSV: names in the first line, then one row per sample.")
     if len(rows) > 1 and len(rows[1]) != len(header):
         said = f"{len(header)} names in the header, {_cells(len(rows[1]))} in row 1"
         line = len(rows) > 2 and len(rows[2]) == len(header)
@@ -292,7 +268,7 @@ def _check_head(source: str, text: str) -> None:
     """Refuse rows of numbers below lines that are no header."""
     for separator in _SEPARATORS:
         with suppress(csv.Error):
-            read = list(islice(_rows(io.StringIO(text), separator), 200))
+            read = list(islice(rows_of(io.StringIO(text), separator), 200))
             cells = [len(row) if all(map(is_number, row)) else 0 for _, row in read]
             for k in range(1, len(read) - 2):
                 if cells[k] > 1 and len(read[k - 1][1]) != cells[k] == cells[k + 1] == cells[k + 2]:
@@ -328,15 +304,31 @@ def _samples(opened: Callable[[], IO[bytes]], source: str, layout: _Layout, name
     except pd.errors.EmptyDataError:  # a header alone; how few rows there are is said by who needs them
         return pd.DataFrame({name: [] for name in names})
     except (csv.Error, pd.errors.ParserError) as error:
+        _check_block(opened, layout, source)
         raise InputError(f"{source}: {_of_parser(str(error), layout.width)}") from None
     rows = len(frame)
     if not any(map(pd.api.types.is_numeric_dtype, frame.dtypes)):  # parts put together, each with the header
         frame = frame[~(frame == list(layout.head.names)).all(axis="columns")].reset_index(drop=True)
     frame = frame.apply(as_numbers, decimal=layout.decimal)
-    if frame[names[-1]].hasnans and not _are_even(opened, layout, rows):  # as it is, too, where a row ends early
+    remark = len(frame) > 20 and frame[names[-1]].count() == 1  # such as a serial number in the first row alone
+    uneven = frame[names[-1]].hasnans and not remark and not _are_even(opened, layout, rows)
+    if uneven or not any(map(pd.api.types.is_numeric_dtype, frame.dtypes)):
+        _check_block(opened, layout, source)
+    if uneven:
         with io.TextIOWrapper(opened(), "utf-8-sig", newline="") as text:
-            _check_rows((row for _, row in _rows(text, layout.separator)), source, layout.width, layout.head.first)
+            _check_rows((row for _, row in rows_of(text, layout.separator)), source, layout.width, layout.head.first)
     return frame
+
+
+def _check_block(opened: Callable[[], IO[bytes]], layout: _Layout, source: str) -> None:
+    """Refuse lines of text among the samples, as between two tables."""
+    with io.TextIOWrapper(opened(), "utf-8-sig", newline="") as text, suppress(csv.Error):
+        rows = ((line, row) for line, row in rows_of(text, layout.separator) if line > layout.line)
+        samples = dropwhile(lambda each: is_text_row(each[1], layout.decimal), rows)
+        found = next(((line, row) for line, row in samples if is_text_row(row, layout.decimal)), None)
+    if found is not None:
+        said = f"line {found[0]} among the samples has no number ({bounded(' '.join(found[1]).strip(), 30)!r})"
+        raise InputError(f"{source}: {said}. Remove it, or keep one table in a file.")
 
 
 def _are_even(opened: Callable[[], IO[bytes]], layout: _Layout, rows: int) -> bool:

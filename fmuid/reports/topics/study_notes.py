@@ -13,6 +13,7 @@ from fmuid.reports.document import Message, Remark, doubt
 from fmuid.runs import ChangeKind, StudyChange
 from fmuid.simulation import AnySimulator, Simulator
 from fmuid.studies import SourceIssue, SourceWarning, Study
+from fmuid.units import SECONDS
 
 MOST_GAPS = 3
 """Gaps that are listed."""
@@ -28,8 +29,8 @@ class StudyMessage(Message):
     )
     TOO_LONG = doubt(
         "{data}: time unit looks wrong ({duration} s long, model settles in {constant} s).",
-        "probably milliseconds taken for seconds, or a wrong model",
-        'Set `time_unit`: "ms" for milliseconds, "s" if the model counts in the unit of the file.',
+        "probably milliseconds or microseconds taken for seconds, or a wrong model",
+        'Set `time_unit`, probably "{unit}"; "s" if the model counts in the unit of the file.',
     )
     TOO_SHORT = doubt(
         "{data}: time unit looks wrong ({duration} s long, model needs {constant} s).",
@@ -94,7 +95,8 @@ def gap_remark(source: str, times: Sequence[float]) -> Remark:
 def time_remark(found: TimeScaleWarning) -> Remark:
     """Return the reason to check the time unit of a data file."""
     message = StudyMessage.TOO_LONG if found.kind is TimeScaleMismatch.TOO_LONG else StudyMessage.TOO_SHORT
-    values = {"duration": f"{found.duration:.3g}", "constant": f"{found.time_constant:.2g}"}
+    fine = (unit for unit in ("ms", "us") if found.step * SECONDS[unit] < found.time_constant)
+    values = {"duration": f"{found.duration:.3g}", "constant": f"{found.time_constant:.2g}", "unit": next(fine, "ns")}
     return message.said(data=found.source, **values)
 
 

@@ -1,0 +1,63 @@
+"""Tables with one row per sample of one signal: historians, loggers of vehicles, databases."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from fmuid.data.headers import RawTable, is_missing, numbers_of
+
+_NAMES = (
+    *("varname", "variable", "variablename", "name", "signal", "signalname", "tag", "tagname", "channel"),
+    *("channelname", "series", "metric", "sensor", "pid", "field", "parameter", "point", "pointname", "entityid"),
+)
+_VALUES = ("value", "varvalue", "val", "wert", "state")
+_UNITS = ("units", "unit", "einheit")
+"""Headers in small letters of the columns with names, values and units."""
+
+
+def rows_of_signals(raw: RawTable) -> RawTable | None:
+    """Return rows with a value of one signal each; None of other tables."""
+    names, values, _ = _roles(raw)
+    return None if names is None or values is None else replace(raw, frame=raw.frame.dropna(subset=[names, values]))
+
+
+def with_columns_of_signals(raw: RawTable, time: str) -> RawTable:
+    """Return a table with a column per signal, and its times."""
+    names, values, units = _roles(raw)
+    assert names is not None and values is not None
+    rows = raw.frame.dropna(subset=time)
+    groups = {str(name): part for name, part in rows.groupby(names, sort=False)}
+    first = next(iter(groups.values()), rows)[time].tolist()
+    together = all(part[time].tolist() == first for part in groups.values())
+    columns: dict[str, Any] = {}
+    said: dict[str, str] = {time: raw.units[time]} if time in raw.units else {}
+    clocks: dict[str, str] = {}
+    for name, part in groups.items():
+        clock = time if together or not columns else f"{time} {name}"
+        columns |= {} if clock in columns else {clock: part[time].reset_index(drop=True)}
+        columns[name] = _numbers(part[values]).reset_index(drop=True)
+        clocks |= {} if together else {name: clock}
+        said |= {clock: said[time]} if time in said else {}
+        unit = raw.units.get(values) if units is None else part[units].dropna().astype(str).unique()
+        said |= {name: str(unit[0] if units else unit)} if unit is not None and len(unit) == 1 else {}
+    return replace(raw, frame=pd.DataFrame(columns), units=said, time=time, clocks=clocks)
+
+
+def _roles(raw: RawTable) -> tuple[str | None, ...]:
+    """Return the columns of names, values and units."""
+    found = {re.sub(r"[\W_\d]", "", str(name).lower()): str(name) for name in raw.frame.columns}
+    return tuple(next((found[each] for each in known if each in found), None) for known in (_NAMES, _VALUES, _UNITS))
+
+
+def _numbers(cells: pd.Series[Any]) -> pd.Series[Any]:
+    """Return cells as numbers, NaN where marked as missing; else unchanged."""
+    if pd.api.types.is_numeric_dtype(cells.dtype):
+        return cells
+    there = cells[[not is_missing(cell) for cell in cells]].astype(str)
+    found = numbers_of(there, ".") or numbers_of(there, ",")
+    return cells if found is None else pd.Series(found, there.index, dtype=np.float64).reindex(cells.index)
