@@ -13,8 +13,7 @@ import numpy as np
 
 from fmuid.array_types import Flags, Floats, Indices
 
-Predict = Callable[[Floats], Floats]
-"""Simulates thetas (m, N); returns stacked outputs (m, n), NaN rows if failed."""
+Predict = Callable[[Floats], Floats]  # simulates thetas (m, N); returns stacked outputs (m, n), NaN rows if failed
 
 
 @dataclass(frozen=True)

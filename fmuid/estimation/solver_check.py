@@ -12,8 +12,7 @@ import numpy as np
 
 from fmuid.array_types import Floats
 
-SHIFT_LIMIT = 0.1
-"""Largest solver error, σ: 95 % intervals then cover 94.9 %."""
+SHIFT_LIMIT = 0.1  # largest solver error, σ: 95 % intervals then cover 94.9 %
 
 
 class RunFields(TypedDict):
@@ -40,8 +39,7 @@ class UsedModel(_NamedModel, total=False):
     run: RunFields
 
 
-Runs = Mapping[str, RunFields]
-"""Simulation settings of each component."""
+Runs = Mapping[str, RunFields]  # simulation settings of each component
 
 
 class AccuracyOutcome(Enum):

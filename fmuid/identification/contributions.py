@@ -19,8 +19,7 @@ from fmuid.array_types import Floats
 from fmuid.estimation import LeastSquares, Result
 from fmuid.identification.directed_tests import whitened
 
-PRIOR = "prior"
-"""Name of the prior among the experiments."""
+PRIOR = "prior"  # name of the prior among the experiments
 
 
 @dataclass(frozen=True)

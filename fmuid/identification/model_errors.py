@@ -108,8 +108,7 @@ RARE = frozenset({ErrorKind.CLOCK, ErrorKind.ZERO_DRIFT, ErrorKind.NONLINEARITY,
 """Errors that are thought of where usual ones explain less."""
 
 
-Sizes = Mapping[tuple[ErrorKind, tuple[str, ...]], float]
-"""Sizes of errors by kind and subject."""
+Sizes = Mapping[tuple[ErrorKind, tuple[str, ...]], float]  # sizes of errors by kind and subject
 
 
 @dataclass(frozen=True, eq=False)

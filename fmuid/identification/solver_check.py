@@ -37,8 +37,7 @@ from fmuid.identification.problem import Problem, run_fields
 from fmuid.identification.strategies import START_LIMIT, Searches, Trial
 from fmuid.simulation import Refinement, is_controlled, is_free, next_refinement, replaces_interface
 
-ACCURACIES = ("refine", "report", "off")
-"""What may be done about the solver error."""
+ACCURACIES = ("refine", "report", "off")  # what may be done about the solver error
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,7 @@ class Trial:
     start_limit: float = START_LIMIT
 
 
-Searches = Generator[Trial, Result, Result]
-"""Searches asked for one after the other, and the result of all of them."""
+Searches = Generator[Trial, Result, Result]  # searches asked for one after the other, and the result of all of them
 Strategy = Callable[[Trial], Searches]
 
 

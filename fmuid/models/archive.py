@@ -29,30 +29,22 @@ import platformdirs
 from fmuid.errors import InputError
 from fmuid.models.untrusted_xml import LARGEST_XML
 
-LARGEST_TOTAL_VARIABLE = "FMUID_LARGEST_ARCHIVE_GB"
-"""Environment variable: limit of the unpacked size, GB."""
+LARGEST_TOTAL_VARIABLE = "FMUID_LARGEST_ARCHIVE_GB"  # environment variable: limit of the unpacked size, GB
 
 
 @dataclass(frozen=True)
 class ArchiveLimits:
     """Limits of an accepted archive."""
 
+    # unpacked size, GB (2³⁰ bytes), an entry half of it. FMUs have about 100 MB, with an interpreter 2 GB
     total_gb: float = 4.0
-    """Unpacked size, GB (2³⁰ bytes), an entry half of it. FMUs have about 100 MB, with an interpreter 2 GB."""
-    entries: int = 100_000
-    """An FMU that carries an interpreter has some ten thousand."""
-    directory: int = 16 * 2**20
-    """Bytes of its directory, read at once: as many entries with names of 120 characters."""
-    ratio: int = 200
-    """Largest compression: text shrinks to a thirtieth, a bomb to a thousandth."""
-    ratio_from: int = 64 * 2**20
-    """Unpacked bytes below which any compression is accepted."""
-    name: int = 255
-    """Bytes in the name of a file or folder: what file systems take."""
-    path: int = 1000
-    """Bytes in all of an entry's name, less the cache's path."""
-    chunk: int = 2**20
-    """Bytes that are unpacked at a time."""
+    entries: int = 100_000  # an FMU that carries an interpreter has some ten thousand
+    directory: int = 16 * 2**20  # bytes of its directory, read at once: as many entries with names of 120 characters
+    ratio: int = 200  # largest compression: text shrinks to a thirtieth, a bomb to a thousandth
+    ratio_from: int = 64 * 2**20  # unpacked bytes below which any compression is accepted
+    name: int = 255  # bytes in the name of a file or folder: what file systems take
+    path: int = 1000  # bytes in all of an entry's name, less the cache's path
+    chunk: int = 2**20  # bytes that are unpacked at a time
 
 
 LIMITS = ArchiveLimits()
@@ -71,10 +63,8 @@ class CheckedArchive:
     `path` is its name in messages. `InputError`: the file is no readable zip archive, or an entry is refused.
     """
 
-    entries: tuple[zipfile.ZipInfo, ...]
-    """Files and folders in the archive's order, with slashes as separators."""
-    names: tuple[str, ...]
-    """Names of the files."""
+    entries: tuple[zipfile.ZipInfo, ...]  # files and folders in the archive's order, with slashes as separators
+    names: tuple[str, ...]  # names of the files
 
     def __init__(self, file: Path, path: Path | None = None) -> None:
         self.path, self.limit, self._written = path or file, _largest_total(), 0

@@ -105,8 +105,7 @@ def _check_positive(word: str, given: float | None, unit: str = "number") -> Non
         raise InputError(f"{word} must be a positive {unit}, not {given:g}.")
 
 
-AS_OFFERED = Numerics()
-"""All defaults."""
+AS_OFFERED = Numerics()  # all defaults
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -167,18 +166,13 @@ class SolverConfiguration:
 
     fmi_version: str
     interface: str
-    integrator: str | None
-    """None for Co-Simulation."""
-    stiff: bool
-    """Whether `integrator` replaced another for stiffness."""
-    tolerance: float | None
-    """Relative; None if there is none, or the FMU's own."""
-    step_size: float | None
-    """Largest step, s; None: from sample to sample."""
-    divisor: int = 1
-    """Number of parts of each step by solver refinement."""
+    integrator: str | None  # None for Co-Simulation
+    stiff: bool  # whether `integrator` replaced another for stiffness
+    tolerance: float | None  # relative; None if there is none, or the FMU's own
+    step_size: float | None  # largest step, s; None: from sample to sample
+    divisor: int = 1  # number of parts of each step by solver refinement
+    # whether each simulation had its own process, as the FMU keeps state outside its instances
     new_processes: bool = False
-    """Whether each simulation had its own process, as the FMU keeps state outside its instances."""
 
 
 DEFAULT_INTEGRATOR = "rk45"  # no start-up phase after each step of the inputs, and detects stiffness

@@ -112,19 +112,16 @@ class Description:
     units: Mapping[str, Unit]
     interfaces: Mapping[str, Interface]
     default_experiment: Mapping[str, float]
+    # for each output: the variables that it depends on directly; None where the FMU does not say
     dependencies: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
-    """For each output: the variables that it depends on directly; None where the FMU does not say."""
-    derivatives: tuple[str, ...] = ()
-    """The derivatives of the continuous states, in the order of the states."""
-    states: tuple[str, ...] = ()
-    """The continuous states, in their order."""
-    indicators: int = 0
-    """Number of event indicators."""
+    derivatives: tuple[str, ...] = ()  # the derivatives of the continuous states, in the order of the states
+    states: tuple[str, ...] = ()  # the continuous states, in their order
+    indicators: int = 0  # number of event indicators
+    # start values written by `fmuid apply`: the importer must set them (`fmuid.models.start_values`)
     applied: Mapping[str, float | int | bool | str] = field(default_factory=dict)
-    """Start values written by `fmuid apply`: the importer must set them (`fmuid.models.start_values`)."""
 
+    # declared attributes of each interface; "needsCompletedIntegratorStep" has its FMI 3.0 name
     capabilities: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    """Declared attributes of each interface; "needsCompletedIntegratorStep" has its FMI 3.0 name."""
 
     @property
     def major_version(self) -> int:

@@ -22,30 +22,21 @@ class FmuSummary:
     """Declarations of an FMU, grouped for parameter identification."""
 
     fmu: FMU
+    # declared attributes of each interface; "needsCompletedIntegratorStep" has its FMI 3.0 name
     capabilities: Mapping[str, Mapping[str, str]]
-    """Declared attributes of each interface; "needsCompletedIntegratorStep" has its FMI 3.0 name."""
-    here: str | None
-    """Folder of this machine's binaries."""
-    machine: str
-    """FMI's name of this machine's platform."""
-    run_as: SolverConfiguration
-    """Default solver settings."""
-    tunable: tuple[Variable, ...]
-    """Parameters that may change at any time; `fixed` are set before initialization."""
+    here: str | None  # folder of this machine's binaries
+    machine: str  # FMI's name of this machine's platform
+    run_as: SolverConfiguration  # default solver settings
+    tunable: tuple[Variable, ...]  # parameters that may change at any time; `fixed` are set before initialization
     fixed: tuple[Variable, ...]
-    calculated: tuple[Variable, ...]
-    """Parameters that the FMU computes."""
-    structural: tuple[Variable, ...]
-    """Sizes of arrays."""
+    calculated: tuple[Variable, ...]  # parameters that the FMU computes
+    structural: tuple[Variable, ...]  # sizes of arrays
     inputs: tuple[Variable, ...]
     outputs: tuple[Variable, ...]
     states: tuple[Variable, ...]
-    starts: tuple[Variable, ...]
-    """Other variables with settable start values."""
-    direct: Mapping[str, tuple[str, ...] | None]
-    """Inputs with direct feed-through to each output; None if undeclared."""
-    units: Mapping[str, tuple[str, ...]]
-    """Units of inputs, outputs and states, with alternatives for data files."""
+    starts: tuple[Variable, ...]  # other variables with settable start values
+    direct: Mapping[str, tuple[str, ...] | None]  # inputs with direct feed-through to each output; None if undeclared
+    units: Mapping[str, tuple[str, ...]]  # units of inputs, outputs and states, with alternatives for data files
 
     @property
     def others(self) -> int:
@@ -114,8 +105,7 @@ def other_units(described: Description, unit: str) -> tuple[str, ...]:
 class VariableRow(NamedTuple):
     """A variable, or many elements of an array, as one row."""
 
-    name: str
-    """With ranges of subscripts if it stands for several: ``A[1..3,1..3]``."""
+    name: str  # with ranges of subscripts if it stands for several: ``A[1..3,1..3]``
     variables: tuple[Variable, ...]
 
 

@@ -30,8 +30,7 @@ from fmuid.models.description import (
 from fmuid.models.start_values import ANNOTATION, TOOL, Value
 from fmuid.models.untrusted_xml import parse_xml, uncollected
 
-MAX_ELEMENTS = 1_000_000
-"""Variables and elements of arrays: a few words of XML can declare any number."""
+MAX_ELEMENTS = 1_000_000  # variables and elements of arrays: a few words of XML can declare any number
 
 # version -> type of a variable -> FMI 3.0 type of the binary's functions
 _TYPES = {

@@ -13,8 +13,7 @@ from fmuid.errors import InputError
 from fmuid.formatting import nearest
 from fmuid.models.ssv import Element, children, local, transformation, truth
 
-ElementPath = tuple[str, ...]
-"""The names of nested elements, from the outermost inwards; the top system is ``()``."""
+ElementPath = tuple[str, ...]  # the names of nested elements, from the outermost inwards; the top system is ``()``
 
 _INWARD = ("input", "parameter", "structuralParameter")
 _OUTWARD = ("output", "calculatedParameter", "local", "constant")

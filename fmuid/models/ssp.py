@@ -36,13 +36,11 @@ STRUCTURE_FILE = "SystemStructure.ssd"
 class SystemStructure:
     """Content of an .ssp file, nested systems flattened, as arguments of `fmuid.System`."""
 
-    components: Mapping[str, tuple[FMU, str | None]]
-    """FMU and requested interface."""
+    components: Mapping[str, tuple[FMU, str | None]]  # FMU and requested interface
+    # without factor and offset if the structure gives no units
     connections: tuple[tuple[str, str] | tuple[str, str, float, float], ...]
-    """Without factor and offset if the structure gives no units."""
     connectors: Mapping[str, Sequence[tuple[str, float, float]]]
-    values: Mapping[str, Value]
-    """In the variables' units, without unknown names (SSP 1.0, 5.3.1)."""
+    values: Mapping[str, Value]  # in the variables' units, without unknown names (SSP 1.0, 5.3.1)
 
 
 def read_ssp(path: str | Path) -> SystemStructure:

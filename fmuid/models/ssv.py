@@ -20,8 +20,7 @@ from fmuid.version import __version__
 
 Element = ElementTree.Element
 
-NAMESPACE = "http://ssp-standard.org/SSP1/SystemStructure"
-"""Common prefix of the namespaces of SSP 1.0 and 2.0."""
+NAMESPACE = "http://ssp-standard.org/SSP1/SystemStructure"  # common prefix of the namespaces of SSP 1.0 and 2.0
 
 
 class Quantity(NamedTuple):

@@ -18,8 +18,7 @@ from fmuid.models.fmu import FMU
 
 MASTERS = ("jacobi", "gauss-seidel")
 
-Port = tuple[str, float, float]
-"""A variable connected to a connector of the system, with factor and offset."""
+Port = tuple[str, float, float]  # a variable connected to a connector of the system, with factor and offset
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)

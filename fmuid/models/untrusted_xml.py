@@ -13,8 +13,7 @@ from xml.parsers import expat
 
 from fmuid.errors import InputError
 
-LARGEST_XML = 256 * 2**20
-"""Bytes of an XML file: about 800 000 variables; parsed, they take ten times as much memory."""
+LARGEST_XML = 256 * 2**20  # bytes of an XML file: about 800 000 variables; parsed, they take ten times as much memory
 DEEPEST_NESTING = 200
 """Elements inside each other: FMI needs 5, SSP 2 for each level of nested systems; readers are recursive."""
 

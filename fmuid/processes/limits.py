@@ -43,8 +43,7 @@ class HostExitError(Exception):  # no error, but a report
     """End of an isolated process during its work."""
 
     kind: ProcessEnd
-    number: int
-    """Signal, exit code, system error, time limit (ms) or memory limit (MB)."""
+    number: int  # signal, exit code, system error, time limit (ms) or memory limit (MB)
 
     @property
     def signal_name(self) -> str:

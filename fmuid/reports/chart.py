@@ -17,8 +17,7 @@ Color = Literal["ink", "grey", "faint", "white", "blue", "red", "amber"]
 Dash = Literal["solid", "dashed", "dotted"]
 Data: TypeAlias = Mapping[str, Floats | tuple[str, ...] | float]
 Units = Mapping[str, str | None]
-WITH_ARRAYS = {"arbitrary_types_allowed": True}
-"""For pydantic, which reads documents back."""
+WITH_ARRAYS = {"arbitrary_types_allowed": True}  # for pydantic, which reads documents back
 
 
 @dataclass(frozen=True)
@@ -38,10 +37,8 @@ class ChartLimits:
 LIMITS = ChartLimits()
 LEGEND_ROOM, CHARACTER, ENTRY, LEGEND_LINE = 230, 5.8, 33, 18
 """Pixels: of a legend on a telephone, of a letter, of what else belongs to an entry, of a line of it."""
-LONGEST_LINE = 44
-"""Letters of a line that a telephone has room for."""
-LONGEST_BESIDE = 14
-"""Letters of names that stand beside their rows; longer ones stand above them."""
+LONGEST_LINE = 44  # letters of a line that a telephone has room for
+LONGEST_BESIDE = 14  # letters of names that stand beside their rows; longer ones stand above them
 ROW, ROW_BELOW, ROW_LINE = 28, 20, 28
 """Pixels: of a row with its name beside it, of one below its name, of each line of such a name."""
 
@@ -101,8 +98,7 @@ class Axis:
     grid: bool | None = None  # default: the ordinate has grid lines
 
 
-DENSITY = Axis(reach=(0.0, None), shown=False)
-"""The ordinate of a density."""
+DENSITY = Axis(reach=(0.0, None), shown=False)  # the ordinate of a density
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,11 +18,9 @@ Tone = Literal["plain", "good", "doubt", "bad"]
 Place = Literal["console", "detail", "page"]
 EVERYWHERE: frozenset[Place] = frozenset(("console", "detail", "page"))
 CONSOLE: frozenset[Place] = frozenset(("console", "detail"))
-DETAIL: frozenset[Place] = frozenset(("detail",))
-"""On a terminal with ``--verbose`` only."""
+DETAIL: frozenset[Place] = frozenset(("detail",))  # on a terminal with ``--verbose`` only
 PAGE: frozenset[Place] = frozenset(("page",))
-TERMINAL_ROWS = 60
-"""Rows of a table on a terminal; more scroll away the first. A pipe gets them all."""
+TERMINAL_ROWS = 60  # rows of a table on a terminal; more scroll away the first. A pipe gets them all
 
 
 class Message(Enum):

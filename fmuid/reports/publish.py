@@ -10,8 +10,7 @@ from fmuid.files import is_file, is_folder, replacing
 from fmuid.reports.document import Document, Section
 from fmuid.reports.render.document_json import DOCUMENT_FILE, kept_documents, read_documents, write_documents
 
-FORMATS = ("png", "svg", "pdf")
-"""Of figures for print."""
+FORMATS = ("png", "svg", "pdf")  # of figures for print
 REPORT_FILE = "report.html"
 # What the figures of a run are called, before a hyphen where there are several of a kind.
 KINDS = """

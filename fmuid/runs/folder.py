@@ -27,16 +27,13 @@ DIAGNOSIS_FILE = "diagnosis.json"
 MONITORING_FILE, MONITORING_SCHEMA = "monitoring.json", "fmuid/monitoring/2"
 PREDICTION_FILE, PREDICTION_SCHEMA = "prediction.json", "fmuid/prediction/2"
 COMPARISON_FILE, COMPARISON_SCHEMA = "comparison.json", "fmuid/comparison/2"
-PREPARED_FILE = "diagnosis-preparation.csv"
-"""What was done with the tables of a diagnosis, as in ``preparation.csv``."""
-RESIDUALS_FILE = "diagnosis-residuals.csv"
-"""Residuals of the first experiment, of the healthy model and with the fault."""
+PREPARED_FILE = "diagnosis-preparation.csv"  # what was done with the tables of a diagnosis, as in ``preparation.csv``
+RESIDUALS_FILE = "diagnosis-residuals.csv"  # residuals of the first experiment, of the healthy model and with the fault
 # Tables of an identification: those of an earlier run would be taken for this one's.
 _TABLES = ("trace", "fit", "diagnostics", "optima", "preparation", "profiles", "posterior", "map-*")
 # Columns of texts, which pandas would take for numbers or missing values where they look like it.
 _TEXTS = ("experiment", "record", "significant", "alarm")
-AGAIN = "run fmuid identify again"
-"""Remedy for a damaged result."""
+AGAIN = "run fmuid identify again"  # remedy for a damaged result
 
 
 ShortFindings = TypeVar("ShortFindings", bound=PredictionRun | ComparisonRun)

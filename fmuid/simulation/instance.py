@@ -41,10 +41,8 @@ _TAKEN_3 = {
 class Instance:
     """One instance of an FMU by one interface, `kind`; an `InputError` if impossible."""
 
-    handle: int
-    """Its address."""
-    event_mode: bool
-    """Whether events are handled between its steps (FMI 3.0 Co-Simulation)."""
+    handle: int  # its address
+    event_mode: bool  # whether events are handled between its steps (FMI 3.0 Co-Simulation)
 
     def __init__(self, fmu: FMU, kind: str, name: str) -> None:
         interface = fmu.description.interfaces[kind]

@@ -25,8 +25,7 @@ from fmuid.models import FMU, Component, Description
 
 SAFE_TOOLS = ("fmuid", "Reference FMUs")
 """Beginnings of the generationTool of FMUs that keep everything inside their instances."""
-UNSAFE_TOOLS = ("OpenModelica",)
-"""Those that do not, whatever their FMUs say."""
+UNSAFE_TOOLS = ("OpenModelica",)  # those that do not, whatever their FMUs say
 
 
 def in_threads(description: Description, kind: str) -> bool:

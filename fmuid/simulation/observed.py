@@ -21,8 +21,7 @@ from fmuid.errors import SimulationError
 class Simulations:
     """Simulations of several thetas."""
 
-    outputs: Floats
-    """(m, K, n_outputs) in units of the data file; NaN after a failure."""
+    outputs: Floats  # (m, K, n_outputs) in units of the data file; NaN after a failure
     errors: tuple[SimulationError | None, ...]
 
     @classmethod

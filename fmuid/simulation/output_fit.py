@@ -23,10 +23,8 @@ class InputSignals:
 
     names: tuple[str, ...]
     units: tuple[str | None, ...]
-    held: tuple[bool, ...]
-    """Inputs with zero-order hold."""
-    values: Floats
-    """(K, n_inputs), in the units of the data."""
+    held: tuple[bool, ...]  # inputs with zero-order hold
+    values: Floats  # (K, n_inputs), in the units of the data
 
     json_layout: ClassVar = Layout(omitted={"values"})
 
@@ -36,24 +34,17 @@ class OutputFit:
     """Measured against simulated outputs of one experiment."""
 
     experiment: str
-    times: Floats
-    """(K,), s."""
+    times: Floats  # (K,), s
     outputs: tuple[str, ...]
-    units: tuple[str | None, ...]
-    """Of the outputs, in the data file."""
-    measured: Floats
-    """(K, n_outputs), NaN without measurement, as `simulated`."""
+    units: tuple[str | None, ...]  # of the outputs, in the data file
+    measured: Floats  # (K, n_outputs), NaN without measurement, as `simulated`
     simulated: Floats
-    counted: Flags
-    """Samples in the cost function (K, n_outputs)."""
-    kind: str = "time"
-    """Of the experiment."""
-    axis: Mapping[str, Floats] = field(default_factory=dict)
-    """First columns of tables, (K,) each; default: the times."""
+    counted: Flags  # samples in the cost function (K, n_outputs)
+    kind: str = "time"  # of the experiment
+    axis: Mapping[str, Floats] = field(default_factory=dict)  # first columns of tables, (K,) each; default: the times
+    # change of each output (K, n_outputs) by one relative unit of its complex response; None of others
     readings: Floats | None = None
-    """Change of each output (K, n_outputs) by one relative unit of its complex response; None of others."""
-    inputs: InputSignals | None = None
-    """Of an experiment in time."""
+    inputs: InputSignals | None = None  # of an experiment in time
 
     json_layout: ClassVar = Layout(
         omitted={"times", "measured", "simulated", "counted"}, derived=("counted_from", "fit", "rmse")

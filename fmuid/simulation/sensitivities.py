@@ -108,20 +108,14 @@ class FmuSensitivities:
 class SensitivitySteps:
     """Relative steps of differences, and limits of a derivative check."""
 
+    # of differences of whole simulations, once: FMI 2.0 does not promise directional derivatives by parameters
     check: float = 1e-3
-    """Of differences of whole simulations, once: FMI 2.0 does not promise directional derivatives by parameters."""
-    allowed: float = 0.1
-    """Share of the change by which the two may differ, ..."""
-    rounding: float = 1e-6
-    """... and of an output: what the integration leaves in it."""
-    observed: float = 1e-4
-    """Of voltages behind their readings."""
-    central: float = 2.0**-17
-    """Of initial states."""
-    twin: float = 2.0**-26
-    """Of right-hand sides, one-sided."""
-    twin_tolerance: float = 1e-7
-    """The differences' rounding, which must not make an integrator shorten its steps."""
+    allowed: float = 0.1  # share of the change by which the two may differ, ...
+    rounding: float = 1e-6  # ... and of an output: what the integration leaves in it
+    observed: float = 1e-4  # of voltages behind their readings
+    central: float = 2.0**-17  # of initial states
+    twin: float = 2.0**-26  # of right-hand sides, one-sided
+    twin_tolerance: float = 1e-7  # the differences' rounding, which must not make an integrator shorten its steps
 
 
 STEPS = SensitivitySteps()

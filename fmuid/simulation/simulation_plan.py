@@ -18,8 +18,7 @@ from fmuid.array_types import Flags, Floats, Indices
 from fmuid.simulation import codes
 from fmuid.simulation.codes import function_name
 
-MOST_STEPS = 1_000_000
-"""Of an integrator between two samples: some seconds, then it will never arrive."""
+MOST_STEPS = 1_000_000  # of an integrator between two samples: some seconds, then it will never arrive
 
 
 class Operation(NamedTuple):

@@ -22,14 +22,11 @@ from fmuid.simulation.simulator import Simulator
 class RefinementSteps:
     """Steps from one solver refinement to the next."""
 
+    # of model exchange in place of co-simulation: searches by looser ones take many times the simulations
     tolerance: float = 1e-9
-    """Of model exchange in place of co-simulation: searches by looser ones take many times the simulations."""
-    tighter: float = 1e-2
-    """What is run with a controlled error is checked by a simulation with so much less of it ..."""
-    tightest: float = 1e-13
-    """... down to here, where rounding begins."""
-    division: int = 4
-    """What communication steps are divided by from one way to the next."""
+    tighter: float = 1e-2  # what is run with a controlled error is checked by a simulation with so much less of it ...
+    tightest: float = 1e-13  # ... down to here, where rounding begins
+    division: int = 4  # what communication steps are divided by from one way to the next
     most_divided: int = 1024
 
 
@@ -40,10 +37,8 @@ STEPS = RefinementSteps()
 class Refinement:
     """Solver refinement of a system beyond its settings."""
 
-    tolerance: float | None = None
-    """Relative; components with continuous states then run by Model Exchange if offered."""
-    divisor: int = 1
-    """Number of parts of communication steps of components with continuous states."""
+    tolerance: float | None = None  # relative; components with continuous states then run by Model Exchange if offered
+    divisor: int = 1  # number of parts of communication steps of components with continuous states
 
     @property
     def any(self) -> bool:
@@ -51,8 +46,7 @@ class Refinement:
         return self.tolerance is not None or self.divisor > 1
 
 
-AS_ASKED = Refinement()
-"""Nothing is finer."""
+AS_ASKED = Refinement()  # nothing is finer
 
 
 def next_refinement(system: System, than: Refinement = AS_ASKED, *, surely: bool = False) -> Refinement | None:

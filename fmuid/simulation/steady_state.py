@@ -41,15 +41,11 @@ SETTINGS = NewtonSettings()
 class SteadyIssue(Enum):
     """Reason why a row has no steady state."""
 
-    NONE = "none"
-    """No iteration ends at one."""
-    SEVERAL = "several"
-    """Two starts end at different stable ones."""
+    NONE = "none"  # no iteration ends at one
+    SEVERAL = "several"  # two starts end at different stable ones
     UNSTABLE = "unstable"
-    EVENT = "event"
-    """There is an event at the point."""
-    MOVING = "moving"
-    """The simulation does not come to rest."""
+    EVENT = "event"  # there is an event at the point
+    MOVING = "moving"  # the simulation does not come to rest
 
 
 @dataclass(frozen=True, eq=False)

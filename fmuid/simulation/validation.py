@@ -17,8 +17,7 @@ from fmuid.simulation.smoke_test import SmokeReport
 
 BUILD_FILE = "sources/buildDescription.xml"
 """How to compile an FMU that has its sources with it (FMI 3.0.2, section 2.5.1.5)."""
-TIME_LIMIT = 60.0
-"""How long the simulations of one try may take, s."""
+TIME_LIMIT = 60.0  # how long the simulations of one try may take, s
 
 # Shares of the default experiment that are simulated, the second where the first takes too long: it tells a model that
 # is merely slow from one that hangs.
@@ -57,15 +56,11 @@ class Binary:
 class InterfaceTest:
     """Trial of an interface in a separate process."""
 
-    share: float
-    """Requested fraction of the default experiment."""
+    share: float  # requested fraction of the default experiment
     report: SmokeReport
-    code: int | None = 0
-    """Exit code, negative by a signal; None after the time limit."""
-    last_words: str = ""
-    """Last printed line."""
-    limit: float = TIME_LIMIT
-    """Time limit, s."""
+    code: int | None = 0  # exit code, negative by a signal; None after the time limit
+    last_words: str = ""  # last printed line
+    limit: float = TIME_LIMIT  # time limit, s
 
     @property
     def troubled(self) -> bool:
@@ -79,10 +74,9 @@ class Check:
 
     subject: Subject
     interface: str | None
-    result: str
-    """"ok", "warning", "failed" or "left out"."""
+    result: str  # "ok", "warning", "failed" or "left out"
+    # `Tool`, `Binary`, each `InterfaceTest`, or messages of FMPy or the FMU
     evidence: tuple[Tool | Binary | InterfaceTest | str, ...] = ()
-    """`Tool`, `Binary`, each `InterfaceTest`, or messages of FMPy or the FMU."""
 
     @property
     def name(self) -> str:

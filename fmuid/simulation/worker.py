@@ -47,10 +47,8 @@ class SimulationThread:
     Thread 0 is the caller's own. `renewal` None is not known yet. `told` are warnings passed on so far.
     """
 
-    doing: Indices
-    """State (`codes.IDLE` ...) and number of simulations (2,)."""
-    longest: float
-    """Duration of the longest simulation, s."""
+    doing: Indices  # state (`codes.IDLE` ...) and number of simulations (2,)
+    longest: float  # duration of the longest simulation, s
 
     def __init__(
         self, components: Mapping[str, Component], index: int, told: set[str], renewal: Renewal | None = None

@@ -10,8 +10,7 @@ from fmuid.errors import InputError
 from fmuid.models import System
 from fmuid.studies.value_kinds import refusal
 
-MAX_DIMENSIONS = 8
-"""Dimensions of an array; deeper lists are refused."""
+MAX_DIMENSIONS = 8  # dimensions of an array; deeper lists are refused
 
 
 def by_element(table: Any) -> Any:

@@ -22,10 +22,8 @@ from fmuid.studies.toml import show
 Value = float | int | bool | str
 
 METHODS = ("sobol", "latin-hypercube")
-MAX_POINTS = 2**24
-"""Points of a space-filling design; SciPy's Sobol sequence ends at 2**30, memory before."""
-INTEGERS = range(-(2**63), 2**63)
-"""Whole numbers that a column of integers holds."""
+MAX_POINTS = 2**24  # points of a space-filling design; SciPy's Sobol sequence ends at 2**30, memory before
+INTEGERS = range(-(2**63), 2**63)  # whole numbers that a column of integers holds
 
 # --- kinds of values --------------------------------------------------------------------
 

@@ -26,8 +26,7 @@ from fmuid.studies.section import Settings, StudySection, entry
 if TYPE_CHECKING:
     from fmuid.diagnosis import Baseline, Fault
 
-BASELINE_FILE = "baseline.npz"
-"""Beside the ``result.json`` of a healthy study with faults: the baseline of its data."""
+BASELINE_FILE = "baseline.npz"  # beside the ``result.json`` of a healthy study with faults: the baseline of its data
 RULE = Rule()
 FACTOR = "a number above 0, inf for no prior"
 Factor = Annotated[float, kinds.required(lambda value: value > 0, FACTOR), kinds.ValueKind(FACTOR)]

@@ -13,8 +13,7 @@ from fmuid.studies.model import ParsedModel
 from fmuid.studies.parameters import JointPriorSection
 from fmuid.studies.section import SectionLocation, section_of
 
-BY_NAMEPLATE = "nameplate"
-"""Value of ``prior`` that takes it from the section ``[nameplate]``."""
+BY_NAMEPLATE = "nameplate"  # value of ``prior`` that takes it from the section ``[nameplate]``
 PriorOrNameplate = Annotated[Annotated[str, kinds.one_of((BY_NAMEPLATE,))] | JointPriorSection, kinds.BY_SHAPE]
 
 

@@ -14,8 +14,7 @@ from fmuid.units import TIME_UNITS
 KINDS = ("time", "steady", "frequency")
 OF_TIME = ("time", "time_unit", "sample_rate", "clocks", "interpolation", "warmup", "observation")
 """Keys that need a time."""
-OF_KIND = {"steady": ("frame", "guess"), "frequency": ("frequency", "responses", "point")}
-"""Keys of each other kind."""
+OF_KIND = {"steady": ("frame", "guess"), "frequency": ("frequency", "responses", "point")}  # keys of each other kind
 Responses = Annotated[dict[str, Annotated[Response, Settings()]], kinds.Entries("{ name = section }")]
 
 

@@ -59,8 +59,7 @@ class JointPriorSection(ResultPriorSection):
     covariance: kinds.Matrix | None = entry(None, "covariance of these parameters, row by row")
 
 
-OR_ARRAY = {"type": ["number", "array"]}
-"""Type of a number that an array of numbers may replace, in the JSON schema."""
+OR_ARRAY = {"type": ["number", "array"]}  # type of a number that an array of numbers may replace, in the JSON schema
 Groups = Annotated[dict[str, kinds.Names], kinds.Entries("{ group = experiments }")]
 
 
@@ -108,10 +107,8 @@ class SourceIssue(Enum):
 
     DID_NOT_SUCCEED = "did_not_succeed"
     DOUBTFUL = "doubtful"
-    NO_MODEL = "no_model"
-    """Its model is unknown."""
-    OTHER_BUILD = "other_build"
-    """It was made with another build of the FMU."""
+    NO_MODEL = "no_model"  # its model is unknown
+    OTHER_BUILD = "other_build"  # it was made with another build of the FMU
 
 
 @dataclass(frozen=True)

@@ -50,8 +50,7 @@ class ValueKind:
 
     name: str
     of_wrong: Callable[[Any], str] | None = None
-    names_keys: ClassVar[bool] = False
-    """Whether errors below a value are kept: they name a key."""
+    names_keys: ClassVar[bool] = False  # whether errors below a value are kept: they name a key
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Return the type's schema, with all errors as one."""

@@ -21,8 +21,7 @@ from fmuid.files import noted
 from fmuid.formatting import listed, visible
 from fmuid.version import __version__
 
-COMPLETION = "_FMUID_COMPLETE"
-"""Environment variable by which a shell asks for completions."""
+COMPLETION = "_FMUID_COMPLETE"  # environment variable by which a shell asks for completions
 
 app = typer.Typer(
     name="fmuid",

@@ -23,8 +23,7 @@ RESULTS = {
     "batch.json": "batch",
 }
 """Kinds of results by their files."""
-MAX_DEPTH, MAX_ENTRIES = 6, 20_000
-"""Depth and entries of the folder that are examined; a home directory has more."""
+MAX_DEPTH, MAX_ENTRIES = 6, 20_000  # depth and entries of the folder that are examined; a home directory has more
 
 
 @dataclass(frozen=True)

@@ -22,16 +22,11 @@ from fmuid.formatting import visible
 from fmuid.reports.document import TERMINAL_ROWS, Column, Document, Remark, Section, Table, capitalized
 from fmuid.reports.publish import REPORT_FILE
 
-PLAIN_WIDTH = 110
-"""Width without a terminal and COLUMNS, as a README shows it without scrolling."""
-PIPE_WIDTH = 1000
-"""Width of a listing in a pipe: one line a variable."""
-UNLIMITED_WIDTH = 10_000
-"""Width to measure a table."""
-LABEL_WIDTH = 13
-"""Columns of the labels before the lines of a summary."""
-RESULTS = {"ok": "green", "warning": "yellow", "failed": "bold red"}
-"""Style of results of checks."""
+PLAIN_WIDTH = 110  # width without a terminal and COLUMNS, as a README shows it without scrolling
+PIPE_WIDTH = 1000  # width of a listing in a pipe: one line a variable
+UNLIMITED_WIDTH = 10_000  # width to measure a table
+LABEL_WIDTH = 13  # columns of the labels before the lines of a summary
+RESULTS = {"ok": "green", "warning": "yellow", "failed": "bold red"}  # style of results of checks
 TONES = {"good": "green", "doubt": "yellow", "bad": "red", "plain": ""}
 
 

@@ -21,8 +21,7 @@ from fmuid.reports.render.console import console, show_remarks
 from fmuid.reports.topics.monitoring import alarm_words, gap_remarks
 from fmuid.runs import FollowStatus
 
-SILENT_SECONDS = 5.0
-"""Silence of the recordings that is displayed."""
+SILENT_SECONDS = 5.0  # silence of the recordings that is displayed
 COLORS = {"raised": "bold red", "changed": "red", "ended": "green"}
 
 

@@ -34,8 +34,7 @@ from fmuid.runs import Batch, BatchResult, IdentificationRun
 from fmuid.simulation import OutputFit
 from fmuid.studies import Study
 
-SUMMARY_LINES, HEAD_LINES = 25, 2
-"""Lines that a result takes where it is printed, those of the table's head among them."""
+SUMMARY_LINES, HEAD_LINES = 25, 2  # lines that a result takes where it is printed, those of the table's head among them
 DRAW = """(function draw(left) {
   if (typeof Bokeh !== "undefined") Bokeh.embed.embed_items(%s, %s);
   else if (left > 0) setTimeout(draw, 20, left - 1);

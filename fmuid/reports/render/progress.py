@@ -35,18 +35,15 @@ from fmuid.events import (
 )
 from fmuid.reports.render.console import screen
 
-LINE_VALUES = 6
-"""Values on a line; of more parameters only the first ones fit."""
+LINE_VALUES = 6  # values on a line; of more parameters only the first ones fit
 KEEPS = "Ctrl-C: stop and keep the results so far"
 
 
 class Display(contextlib.AbstractContextManager["Display"]):
     """Progress display: a context, called with each event."""
 
-    PARTS = 10
-    """Lines of a task without a terminal."""
-    EVERY = 10.0
-    """Seconds between lines of a batch without a terminal."""
+    PARTS = 10  # lines of a task without a terminal
+    EVERY = 10.0  # seconds between lines of a batch without a terminal
 
     def __init__(self) -> None:
         self._terminal = sys.stderr.isatty() and not screen().quiet

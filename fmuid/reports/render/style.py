@@ -15,8 +15,7 @@ COLORS: dict[Color, str] = {
     "red": "#c4432b",
     "amber": "#d99a1c",
 }
-LINE = "#c9d1d9"
-"""Of axes."""
+LINE = "#c9d1d9"  # of axes
 DARK = {
     COLORS["ink"]: "#e6edf3",
     COLORS["grey"]: "#9aa4af",
@@ -30,10 +29,8 @@ DARK = {
 """Each color's twin on a dark page."""
 FONT = "Inter, system-ui, -apple-system, 'Segoe UI', Roboto, 'Liberation Sans', sans-serif"
 NAME_SIZE = "11px"
-MISSING = "#bbbbbb"
-"""Of a cell without a value."""
-BAR, BAR_BELOW = 0.55, 0.24
-"""Thickness of a bar in rows: with its name beside it, and below its name."""
+MISSING = "#bbbbbb"  # of a cell without a value
+BAR, BAR_BELOW = 0.55, 0.24  # thickness of a bar in rows: with its name beside it, and below its name
 # Text on cells of a strong color, and on pale ones: the cells are the same on a dark page.
 ON_STRONG, ON_PALE = "#fefefe", "#1b1f24"
 # RdBu of ColorBrewer.

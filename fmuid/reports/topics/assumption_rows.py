@@ -17,8 +17,7 @@ from fmuid.runs import IdentificationRun, Provenance
 
 Row = tuple[str, str, str]
 ROLES = {"inputs", "outputs"}
-MARK = "# guessed"
-"""Comment of ``fmuid init`` at the end of a line."""
+MARK = "# guessed"  # comment of ``fmuid init`` at the end of a line
 
 
 def assumption_rows(found: IdentificationRun) -> list[Row]:

@@ -14,8 +14,7 @@ from fmuid.identification import DataDefect, DefectKind, DirectedTest, Direction
 from fmuid.reports.chart import Axis, Chart, Data, Layer, kinds, rows_of
 from fmuid.reports.document import DETAIL, PAGE, Message, Remark, Section, doubt, plain, table_of_rows
 
-SHOWN_EXPOSURES, SHOWN_ALTERNATIVES = 12, 3
-"""Errors in table and figure: those that move an estimate most."""
+SHOWN_EXPOSURES, SHOWN_ALTERNATIVES = 12, 3  # errors in table and figure: those that move an estimate most
 VERBOSE = DETAIL | PAGE
 HIDING_CAPTION = (
     "Shift of the most affected estimate by an error of usual size, and by the largest error that would not show. "

@@ -5,8 +5,7 @@ from __future__ import annotations
 from fmuid.diagnosis import StoredBaseline
 from fmuid.reports.document import Document, Message, Section, doubt, plain, table_of_rows
 
-ENOUGH = 10
-"""Healthy recordings from which the model's error between operating points is known well."""
+ENOUGH = 10  # healthy recordings from which the model's error between operating points is known well
 
 
 class BaselineMessage(Message, section="baseline"):

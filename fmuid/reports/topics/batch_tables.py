@@ -19,10 +19,8 @@ from fmuid.studies import Study
 
 Row = Mapping[Any, Any]
 
-MAX_COLUMNS = 6
-"""Parameters in a table of groups or optima; the files contain all."""
-MAX_ROWS = 8
-"""Kinds of failures and optima in a table; the files contain all."""
+MAX_COLUMNS = 6  # parameters in a table of groups or optima; the files contain all
+MAX_ROWS = 8  # kinds of failures and optima in a table; the files contain all
 TABLES = ("summary", "groups", "failures", "optima")
 
 

@@ -17,16 +17,12 @@ from fmuid.data import evenly
 from fmuid.reports.chart import LIMITS, Axis, Chart, Color, Data, Layer, Units, kinds, named, normal, rows_of
 from fmuid.runs import INTERVAL_STDS, BatchColumns, data_sets, fit_cost, optimum_numbers
 
-CELLS = (90, 45)
-"""Cells of a chart of many estimates, across and up."""
-MAX_LABEL = 24
-"""Letters of a name at an axis."""
+CELLS = (90, 45)  # cells of a chart of many estimates, across and up
+MAX_LABEL = 24  # letters of a name at an axis
 LOOKS: tuple[tuple[Color, Any], ...] = (("blue", "solid"), ("red", "solid"), ("amber", "solid"), ("grey", "dashed"))
 """Outlines of the settings in one chart."""
-MIN_EXCESS = 0.01
-"""Lower end of the logarithmic cost axis, in % or units of the cost: below is rounding."""
-LOST: tuple[tuple[str, Color], ...] = (("failed", "red"), ("not converged", "amber"))
-"""States without an estimate."""
+MIN_EXCESS = 0.01  # lower end of the logarithmic cost axis, in % or units of the cost: below is rounding
+LOST: tuple[tuple[str, Color], ...] = (("failed", "red"), ("not converged", "amber"))  # states without an estimate
 
 
 def parameters_of(frame: pd.DataFrame) -> list[str]:

@@ -15,8 +15,7 @@ from fmuid.reports.document import Document, Message, Remark, Section, Table, do
 from fmuid.reports.topics.model_comparison import ranked_bars
 from fmuid.runs import Provenance
 
-LONG_ENOUGH = 1.1
-"""Healthy data are long enough if endless data lower the detectable size by less than this factor."""
+LONG_ENOUGH = 1.1  # healthy data are long enough if endless data lower the detectable size by less than this factor
 WORST = "Largest relative σ of the parameters. Shorter is better; the best excitation is red."
 FOUND = "Minimum detectable fault size over its magnitude. Shorter is better; the best excitation is red."
 SENSITIVITIES = (
@@ -26,8 +25,7 @@ SENSITIVITIES = (
 HEADS = {"duration": "duration (s)", "log_determinant": "log-determinant"}
 _COLORS: tuple[Color, ...] = ("blue", "red", "amber", "grey")
 _DASHES: tuple[Dash, ...] = ("solid", "dashed")
-LOOKS = [(color, dash) for dash in _DASHES for color in _COLORS]
-"""Lines of a chart: the largest ones."""
+LOOKS = [(color, dash) for dash in _DASHES for color in _COLORS]  # lines of a chart: the largest ones
 
 
 class DesignMessage(Message, section="excitations"):

@@ -57,10 +57,8 @@ CAUSES = (
 )
 CHANGES_CAPTION = "Sizes of the causes in the verdict, with 95 % intervals."
 TONES: dict[str, Tone] = {"healthy": "good", "undecided": "doubt"}
-MAX_CAUSES = 12
-"""Bars of the chart: the most significant causes."""
-MIN_STATISTIC = 0.1
-"""Lower end of the logarithmic axis of D."""
+MAX_CAUSES = 12  # bars of the chart: the most significant causes
+MIN_STATISTIC = 0.1  # lower end of the logarithmic axis of D
 
 
 class DiagnosisMessage(Message, section="causes"):

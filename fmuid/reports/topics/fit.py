@@ -17,8 +17,7 @@ from fmuid.reports.document import Document, Message, Remark, Section, doubt, pl
 from fmuid.reports.topics.row_charts import CAPTIONS, row_charts
 from fmuid.simulation import OutputFit
 
-ZOOM_SHARE, ZOOM_SAMPLES = 0.06, 120
-"""Zoom for print: fraction of the experiment, and minimum number of samples."""
+ZOOM_SHARE, ZOOM_SAMPLES = 0.06, 120  # zoom for print: fraction of the experiment, and minimum number of samples
 CAPTION = (
     "Dots: measured. Line: simulated with the estimates. Below: residual, which should be noise without a pattern. "
     "The warm-up is grey. Then the share of each stretch in the squared residual, and the inputs. "
@@ -41,8 +40,7 @@ class FitMessage(Message, section="fit"):
     )
 
 
-CONSTANT = "constant as measured: no fit"
-"""In place of a fit in % of an output without spread."""
+CONSTANT = "constant as measured: no fit"  # in place of a fit in % of an output without spread
 
 
 def fit_remarks(fits: Sequence[OutputFit]) -> list[Remark]:

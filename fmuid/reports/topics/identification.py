@@ -44,8 +44,7 @@ from fmuid.reports.topics.verdict import STATES, reason_words, remedy_words
 from fmuid.runs import IdentificationRun
 from fmuid.simulation import OutputFit
 
-MAX_LINES = 4
-"""Lines of a terminal between table and report."""
+MAX_LINES = 4  # lines of a terminal between table and report
 
 
 class RunMessage(Message):

@@ -15,10 +15,8 @@ from fmuid.reports.chart import LIMITS, Axis, Chart, Data, intervals, kinds, row
 from fmuid.reports.document import Document, Message, Remark, Section, Table, Tone, doubt, origin_of, plain, table_of
 from fmuid.runs import ComparedEstimate, ComparisonRun
 
-ALIKE_AIC = 2.0
-"""Models with a smaller difference of AIC are equally good (Burnham and Anderson, section 2.6)."""
-CLEAR_AIC = 10.0
-"""A larger difference of AIC is clear (same source)."""
+ALIKE_AIC = 2.0  # models with a smaller difference of AIC are equally good (Burnham and Anderson, section 2.6)
+CLEAR_AIC = 10.0  # a larger difference of AIC is clear (same source)
 BEHIND = "AIC of each result minus the lowest AIC. Differences below 2 are small, above 10 clear."
 ERRORS = "100 % − fit of each result on the common data files. Shorter is better."
 ESTIMATES = "Estimates that several results have, with 95 % intervals. The intervals should overlap."

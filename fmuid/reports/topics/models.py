@@ -13,11 +13,9 @@ from fmuid.reports.topics.solver_check import capability_words, run_words
 from fmuid.studies import skeleton
 
 SETTABLE = "start settable"
-MAX_NAME, MAX_TEXT = 200, 1000
-"""Letters of a name and of other texts; an FMU can have names of any length."""
+MAX_NAME, MAX_TEXT = 200, 1000  # letters of a name and of other texts; an FMU can have names of any length
 
-CellText = Callable[[Variable], str]
-"""Cell of a variable in a column."""
+CellText = Callable[[Variable], str]  # cell of a variable in a column
 
 
 def facts_document(found: FmuSummary, width: int | None = None) -> Document:

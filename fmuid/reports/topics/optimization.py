@@ -14,8 +14,7 @@ from fmuid.identification import EQUAL_COST
 from fmuid.reports.chart import LIMITS, Axis, Chart, Data, Layer, Units, kinds, named, picked
 from fmuid.reports.document import DETAIL, Message, Remark, Section, doubt, plain, table_of
 
-WIDE_RANGE = 5.0
-"""Variances and costs are drawn logarithmically where they range over this ratio."""
+WIDE_RANGE = 5.0  # variances and costs are drawn logarithmically where they range over this ratio
 PARAMETERS = (
     "Each parameter should settle in the blue band, the interval of its estimate. Amber: prior ± 2 σ. Circle: initial "
     "guess."

@@ -233,8 +233,7 @@ CAPTION = (
     "Left: the distribution should follow the normal curve. Middle: the autocorrelation should stay in the band; else "
     "the noise is colored or the model has an error. Right: outside the band, the residual correlates with an input."
 )
-SHOWN_STDS = 4.0
-"""Half width of the histogram; samples beyond it are in its last bars."""
+SHOWN_STDS = 4.0  # half width of the histogram; samples beyond it are in its last bars
 INPUT_LOOKS: tuple[tuple[Color, Dash], ...] = (
     ("red", "solid"),
     ("blue", "solid"),

@@ -160,8 +160,7 @@ def sensitivity_words(used: SensitivityMethod) -> str:
     }[used.method]
 
 
-LEAST_SHOWN = 0.005
-"""Smallest shift that is shown, σ."""
+LEAST_SHOWN = 0.005  # smallest shift that is shown, σ
 
 
 def solver_remarks(names: Sequence[str], found: SolverCheck | None) -> list[Remark]:

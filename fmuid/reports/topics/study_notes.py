@@ -15,8 +15,7 @@ from fmuid.simulation import AnySimulator, Simulator
 from fmuid.studies import SourceIssue, SourceWarning, Study
 from fmuid.units import SECONDS
 
-MOST_GAPS = 3
-"""Gaps that are listed."""
+MOST_GAPS = 3  # gaps that are listed
 
 
 class StudyMessage(Message):

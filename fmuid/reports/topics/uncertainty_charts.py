@@ -23,12 +23,10 @@ WALKERS = (
     "One line per walker; the grey part, burn-in, is left out. Paths that drift together, or walkers that do not move, "
     "mean no convergence."
 )
-HEIGHT = 1.8
-"""Profiles are drawn up to so many times the rise at which the interval ends."""
+HEIGHT = 1.8  # profiles are drawn up to so many times the rise at which the interval ends
 SHARES = (0.95, 0.68)
 """Shares of the samples inside the contours, those of two and one standard deviations in one dimension."""
-BINS = 32
-"""Bins of a histogram of samples."""
+BINS = 32  # bins of a histogram of samples
 
 
 def uncertainty_sections(found: Assessment, result: Result, units: Units, optima: pd.DataFrame) -> list[Section]:

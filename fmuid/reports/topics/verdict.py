@@ -11,8 +11,7 @@ from fmuid.reports.document import Message, Tone
 from fmuid.reports.topics.assumptions import defect_remedy, defect_words, error_remedy, error_words
 from fmuid.reports.topics.solver_check import unchecked_words
 
-SHOWN_REASONS = 2
-"""Reasons in the first line; the others are counted."""
+SHOWN_REASONS = 2  # reasons in the first line; the others are counted
 STATES: dict[Grade, tuple[str, Tone]] = {
     Grade.PASSED: ("PASSED", "good"),
     Grade.DOUBTFUL: ("DOUBTFUL", "doubt"),

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from fmuid.processes import SERVER
 
-CODE = "fmuid.simulation.executor"
-"""What processes that run FMUs need to have loaded."""
+CODE = "fmuid.simulation.executor"  # what processes that run FMUs need to have loaded
 
 
 def start_server() -> None:

@@ -43,18 +43,12 @@ def end_words(end: HostExitError) -> str:
 class TimeLimits:
     """Time limits of processes that run FMUs, s."""
 
-    first: float = 60.0
-    """Default of a simulation before any has ended, or of one with more steps than all before ..."""
-    per_step: float = 1e-4
-    """... and for each of its communication steps: far more than one takes, but of a slow model."""
-    least: float = 5.0
-    """Lower limit of the default: machines are busy at times."""
-    slower: float = 100.0
-    """Default: this multiple of the longest simulation."""
-    preparation: float = 120.0
-    """Instantiation and loading of code: some FMUs read large files."""
-    at_rest: float = 60.0
-    """Without simulation and CPU time, until a process that owes an answer is ended."""
+    first: float = 60.0  # default of a simulation before any has ended, or of one with more steps than all before ...
+    per_step: float = 1e-4  # ... and for each of its communication steps: far more than one takes, but of a slow model
+    least: float = 5.0  # lower limit of the default: machines are busy at times
+    slower: float = 100.0  # default: this multiple of the longest simulation
+    preparation: float = 120.0  # instantiation and loading of code: some FMUs read large files
+    at_rest: float = 60.0  # without simulation and CPU time, until a process that owes an answer is ended
 
 
 TIME_LIMITS = TimeLimits()
@@ -92,12 +86,9 @@ class HostWatchdog(Watchdog):
 class FmuHost(HostProcess):
     """One process that runs the FMUs of one system; parameters as of `fmuid.processes.HostProcess`."""
 
-    doing: Indices
-    """State and number of beginnings of each thread (`server.DOING_WORDS`,)."""
-    simulations: int
-    """Number of given simulations."""
-    records: dict[int, int]
-    """Bytes of the large arrays of each known run."""
+    doing: Indices  # state and number of beginnings of each thread (`server.DOING_WORDS`,)
+    simulations: int  # number of given simulations
+    records: dict[int, int]  # bytes of the large arrays of each known run
 
     def __init__(self, modules: Sequence[str], memory_limit: float, told: set[str] | None = None) -> None:
         super().__init__(modules, memory_limit, told)
@@ -154,8 +145,7 @@ _left: list[str] = []  # what FMUs printed whose keepers are gone
 class HostManager(HostKeeper[FmuHost]):
     """Keeps one process for FMUs, and ends it; parameters as of `FmuHost`."""
 
-    longest: float
-    """Duration of the longest simulation, s."""
+    longest: float  # duration of the longest simulation, s
 
     def __init__(self, settings: Isolation, modules: Sequence[str], told: set[str] | None = None) -> None:
         super().__init__(lambda memory: FmuHost(modules, memory, told), settings.memory_limit_mb, _left)

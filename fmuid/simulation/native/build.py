@@ -19,8 +19,7 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 _VERSION = (HERE.parents[1] / "version.py").read_text(encoding="utf-8").split('"')[-2]
-DEFINED = f'-DFMUID_VERSION="{_VERSION}"'
-"""What the sources want defined."""
+DEFINED = f'-DFMUID_VERSION="{_VERSION}"'  # what the sources want defined
 
 TARGETS = {
     "manylinux_2_17_x86_64": ("x86_64-linux-gnu.2.17", ".so"),

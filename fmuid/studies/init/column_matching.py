@@ -32,18 +32,13 @@ class MatchReason(Enum):
 
     GIVEN = "given"
     NAME = "name"
-    SPELLING = "spelling"
-    """Equal except for case and separators."""
-    ADDITION = "addition"
-    """Equal without additions such as "meas" or "set", or without the component."""
-    BEGINNING = "beginning"
-    """One name begins with the other, and the units convert."""
-    QUANTITY = "quantity"
-    """The only column and the only variable of this quantity."""
+    SPELLING = "spelling"  # equal except for case and separators
+    ADDITION = "addition"  # equal without additions such as "meas" or "set", or without the component
+    BEGINNING = "beginning"  # one name begins with the other, and the units convert
+    QUANTITY = "quantity"  # the only column and the only variable of this quantity
 
 
-SURE = (MatchReason.GIVEN, MatchReason.NAME)
-"""Reasons without doubt."""
+SURE = (MatchReason.GIVEN, MatchReason.NAME)  # reasons without doubt
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,9 @@ from fmuid.studies.section import keys_of, own_first, summary, table_of
 from fmuid.studies.study_file import StudyFile
 from fmuid.studies.toml import quoted_key, show, toml_text
 
-OBSERVED = ("output", "local")
-"""Causalities of outputs of an experiment."""
-NAMES_LISTED = 20
-"""Names in a comment."""
-PARAMETERS_LISTED = 12
-"""Parameters in a skeleton."""
+OBSERVED = ("output", "local")  # causalities of outputs of an experiment
+NAMES_LISTED = 20  # names in a comment
+PARAMETERS_LISTED = 12  # parameters in a skeleton
 LINE_LENGTH, REMARK_LENGTH = 110, 80
 NOISE_EXAMPLES: Mapping[str, object] = {"variance": "estimate", "excitation_period": 4.0, "initial_variance": 0.01}
 """Examples of a settings class; sections of `fmuid.studies` have their own."""

@@ -45,8 +45,7 @@ class SurveySettings:
 
 
 SETTINGS = SurveySettings()
-SHOWN_CHANGE = 0.1
-"""Relative change of a parameter for the effects shown."""
+SHOWN_CHANGE = 0.1  # relative change of a parameter for the effects shown
 # Settings of solvers that tools put among the parameters.
 _SOLVER = re.compile(r"^_|(^|[._])(nle|solver|tol|tolerance|[ar]tol|eps|max_?iter\w*|step_?size|log\w*)([._]|$)", re.I)
 # Quantities with a conventional sign or origin.

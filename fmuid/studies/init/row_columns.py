@@ -49,10 +49,8 @@ _PART = tuple(
 )
 _MARKS = {"'": "real", "''": "imaginary", "R": "real", "Rs": "real", "X": "imaginary", "Xs": "imaginary"}
 _BARS = re.compile(r"\|(.+)\|")
-SUPPLY_FREQUENCY = 50.0
-"""Hz, of a supply without a column."""
-UNNAMED = "Z"
-"""Response whose columns have no name of their own."""
+SUPPLY_FREQUENCY = 50.0  # Hz, of a supply without a column
+UNNAMED = "Z"  # response whose columns have no name of their own
 
 
 def supply_columns(columns: Iterable[str]) -> Iterator[ColumnMatch]:
