@@ -47,7 +47,6 @@ class AnalysisSettings:
     null_steps: int = 2  # linearizations at the estimate without causes, ...
     close: float = 0.03  # ... until the error of the linear model is below this, in standard deviations
     name_steps: int = 10  # linearizations at sizes of causes
-    farthest: float = 0.3  # magnitudes of a coordinate in one step without causes
     settled: float = 0.1  # standard deviations; sizes that move by less have settled
     tolerated: float = 3.0  # the largest error of known faults over κ: three standard deviations
 
@@ -141,7 +140,7 @@ def examine(
         target = coordinates.without_faults(coordinates.healthy + work.null(at.raw))
         if at.said.curvature(target - at.point, coordinates.magnitude) < SETTINGS.close:
             break
-        at = work.at(work.toward(at.point, target))
+        at = work.at(coordinates.toward(at.point, target))
     chance, null, steady = MinPDistribution.of(at.news, at.causes), at.point, True
     naming = name(at.news, at.causes, level, chance=chance, model_error=model_error)
     if naming.named:
@@ -220,11 +219,6 @@ class _CauseAnalyzer:
         news = self.judged(raw)
         causes = (each for each in self.coordinates.causes if is_determined(news, said, each.columns))
         return Linearization(point, said, raw, news, tuple(causes), whitening)
-
-    def toward(self, start: Floats, target: Floats) -> Floats:
-        """Return a point toward a target, no farther than linear models hold."""
-        far = float(np.max(np.abs(target - start) / self.coordinates.magnitude))
-        return start + min(1.0, SETTINGS.farthest / max(far, SETTINGS.farthest)) * (target - start)
 
     def null(self, news: ScoreStatistics, new: Floats | None = None) -> Floats:
         """Return all coordinates beside new changes (N,), relative to the healthy ones."""

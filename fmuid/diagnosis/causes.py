@@ -32,6 +32,7 @@ class CauseSettings:
     scatter_share: float = 0.02  # of healthy_std, between operating points before any healthy record ...
     parameter_scatter: float = 2e-3  # ... of a healthy parameter, as a share of its magnitude
     open: float = 1e3  # magnitudes of a healthy parameter before any record: any record tells more
+    farthest: float = 0.3  # magnitudes of a coordinate in one step of the linearization, but for faults
 
 
 SETTINGS = CauseSettings()
@@ -188,6 +189,12 @@ class ChangeParameterSet:
         """Change of each coordinate (N,) that makes its linear model wrong."""
         known = {CauseKind.OFFSET: math.inf, CauseKind.DELAY: math.inf, CauseKind.GAIN: 1.0, CauseKind.INPUT_GAIN: 1.0}
         return np.array([known.get(each.kind, each.step / SETTINGS.difference_step) for each in self.each])
+
+    def toward(self, start: Floats, target: Floats) -> Floats:
+        """Return a point toward a target, no farther than linear models hold; faults may be far."""
+        healthy = np.array([each.kind is not CauseKind.FAULT for each in self.each])
+        far = float(np.max(healthy * np.abs(target - start) / self.magnitude))
+        return start + min(1.0, SETTINGS.farthest / max(far, SETTINGS.farthest)) * (target - start)
 
     def limits(self, of: ChangeParameter) -> tuple[float, float]:
         """Return the bounds of a size; a vector of the plane has none."""

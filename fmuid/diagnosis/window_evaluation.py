@@ -114,7 +114,9 @@ class MonitorState:
         if before and before[-1].last == self.row - 1:
             last = replace(before.pop(), last=self.row)
         found = self.judgement
-        why = found.explanations if found is not None and label != SOMETHING_ELSE else ()
+        why = found.explanations if found is not None else ()
+        if label == SOMETHING_ELSE:  # a cause may begin or end within one window
+            why = () if last.fault == SOMETHING_ELSE else last.explanations
         onset = None if found is None else self._onset(found)
         return (*before, replace(last, fault=label, onset=onset, explanations=why))
 
@@ -193,15 +195,18 @@ class WindowEvaluation:
         if gone < SETTINGS.gone:
             return replace(now, gone=gone, absent=absent)
         self.watch = self.watch.restarted(found.when.between[0])
-        alarms = (*now.alarms[:-1], replace(now.alarms[-1], ended=now.moment(absent))) if now.alarms else ()
+        alarms = now.alarms
+        for last in alarms[-1:]:
+            name = label_of(last.explanations) or last.fault
+            alarms = (*alarms[:-1], replace(last, fault=name, ended=now.moment(absent)))
         return replace(now, judgement=None, statistic=0.0, gone=0.0, alarms=alarms)
 
     @cached_property
     def target(self) -> Floats:
-        """Best point of linearization (N,): the estimate, with the named faults only."""
+        """Next point of linearization (N,): toward the estimate, with the named faults only."""
         coordinates = self.against.coordinates
         point = coordinates.without_faults(coordinates.healthy + self.estimate.mean, self.free)
-        return np.clip(point, self.against.lower, self.against.upper)
+        return coordinates.toward(self.now.point, np.clip(point, self.against.lower, self.against.upper))
 
     @property
     def far(self) -> bool:

@@ -102,6 +102,15 @@ def test_a_late_sensor_shows_earlier_samples(coil: fmuid.System, coordinates: Ch
     assert columns[1:, 0, ORDER.index("gain")] == pytest.approx(current()[:-1], abs=1e-6)
 
 
+def test_a_step_of_the_linearization_is_short_but_for_faults(coordinates: ChangeParameterSet) -> None:
+    """A window in which a fault ends may ask for no inductance at all; a fault may be ten nominal sizes."""
+    turns, none = (np.eye(len(ORDER))[ORDER.index(name)] for name in ("turns", "L"))
+    start = coordinates.healthy
+    np.testing.assert_array_equal(coordinates.toward(start, start + 5.0 * turns), start + 5.0 * turns)
+    found = coordinates.toward(start, start + 5.0 * turns - 0.1 * none)
+    np.testing.assert_allclose(found, start + 0.3 * (5.0 * turns - 0.1 * none))
+
+
 @pytest.fixture(scope="module")
 def look(coil: fmuid.System, faults: dict[str, fmuid.Fault]) -> Look:
     @cache

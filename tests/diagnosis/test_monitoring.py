@@ -204,6 +204,19 @@ def test_an_unexplained_change_is_an_alarm(healthy_coil: fmuid.Result) -> None:
     assert told(found).startswith("ALARM unexplained change")
 
 
+def test_a_named_alarm_keeps_its_name_beside_one_unexplained_window(healthy_coil: fmuid.Result) -> None:
+    """The fault ends after a window with much noise."""
+    table, sound = warming(10, to=4.0, fails=2), warming(10, to=4.0)
+    gone = table["time"] >= 7.0
+    table.loc[gone, "i"] = sound["i"][gone]
+    table["i"] += np.where((table["time"] >= 6.0) & ~gone, np.random.default_rng(8).normal(0.0, 0.2, len(table)), 0.0)
+    found = watched(healthy_coil, table)
+    alarm, onset = only(found)
+    assert found.table["alarm"][6] == SOMETHING_ELSE
+    assert (alarm.fault, onset.first.time <= 2.0 <= onset.last.time) == ("turns", True)
+    assert alarm.ended is not None and alarm.ended.time == pytest.approx(7.0, abs=1.0)
+
+
 @pytest.mark.slow
 def test_a_small_fault_is_found_over_many_windows(healthy_coil: fmuid.Result) -> None:
     """0.14 Ω are 3 standard deviations of a window: hardly one of them is significant by itself at this level."""
