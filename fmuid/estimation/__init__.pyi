@@ -73,6 +73,7 @@ from .search.state import State as State
 from .search.state import TerminationReason as TerminationReason
 from .search.trust_region import LinearModel as LinearModel
 from .search.trust_region import triangle as triangle
+from .simulation_noise import usable as usable
 from .solver_check import SHIFT_LIMIT as SHIFT_LIMIT
 from .solver_check import AccuracyOutcome as AccuracyOutcome
 from .solver_check import RefinementRefusal as RefinementRefusal

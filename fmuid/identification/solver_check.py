@@ -30,6 +30,7 @@ from fmuid.estimation import (
     fits_worse,
     merge_optima,
     stack_simulated,
+    usable,
     with_shift,
     would_fit_better,
 )
@@ -112,7 +113,7 @@ class _SolverChecking:
             wrong = self._wrong_start(finer, at, predicted)
             if wrong is not None:
                 self._switch(finer, *wrong)
-        elif finer.tolerance is None and not _is_sound(predicted):
+        elif finer.tolerance is None and not usable(predicted):
             self._shorten_steps(finer, at)
 
     def _shorten_steps(self, finer: Refinement | None, at: Floats) -> None:
@@ -120,7 +121,7 @@ class _SolverChecking:
         for _ in range(SETTINGS.start_divisions):
             if finer is None:
                 return
-            if _is_sound(self.evaluator.predict_by(finer, at)):
+            if usable(self.evaluator.predict_by(finer, at)):
                 self._switch(finer, SwitchCause.START_FAILED, math.nan)
                 return
             finer = next_refinement(self.problem.system, finer, surely=True)
@@ -295,9 +296,3 @@ class _SolverChecking:
         history = replace(best.history, optima=optima, fits=first.history.fits)
         result = replace(best, history=history, accuracy=found)
         return with_shift(result, found) if found.outcome is AccuracyOutcome.SHIFTED else result
-
-
-def _is_sound(predicted: Floats) -> bool:
-    """Tell if simulated samples (n,) and their squares are finite."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        return math.isfinite(float(predicted @ predicted))
