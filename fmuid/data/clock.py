@@ -15,7 +15,7 @@ from fmuid.data.coarse_clock import regular_times
 from fmuid.data.headers import RawTable, split_header
 from fmuid.data.several_clocks import assigned, joined, resolution, same_clock
 from fmuid.data.time_names import TIME_NAMES, counts_part, is_time_name, plain_name
-from fmuid.data.time_numbers import DATES, are_day_numbers, may_be_days, since_1970
+from fmuid.data.time_numbers import DATES, are_day_numbers, dates_in_digits, may_be_days, since_1970
 from fmuid.data.time_texts import check_local_times, days_of, seconds_of, time_of_day, times_of
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
@@ -133,8 +133,11 @@ def _clock(raw: RawTable, column: str, unit: str | None, source: str, usual: str
     values, begin = times_of(raw.frame[column], column, source)
     if begin is not None and begin.tzinfo is None:
         check_local_times(raw.frame[column], np.asarray(values, dtype=np.float64), column, source)
+    if begin is None and (dates := dates_in_digits(values)) is not None:
+        values, begin = seconds_of(dates)
     said_unit = unit or _unit_said(raw, column)
-    if begin is None and said_unit is None and column in raw.units:
+    is_number = pd.api.types.is_numeric_dtype(raw.frame[column].dtype)  # else the unit may be hh:mm:ss
+    if begin is None and said_unit is None and column in raw.units and is_number:
         said = f"time column {column!r} has the unit {raw.units[column]!r}, which is no time"
         raise InputError(f'{source}: {said}. Set time_unit, such as "s", or another time column.')
     if begin is None and (unit_since := since_1970(values, said_unit)):

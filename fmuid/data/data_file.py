@@ -13,14 +13,16 @@ import numpy as np
 import pandas as pd
 
 from fmuid.array_types import Floats
+from fmuid.data.cells import OVERLOADS, is_number, numbers_of
 from fmuid.data.clock import TimedTable, time_column, time_name, with_time
-from fmuid.data.headers import OVERLOADS, RawTable, check_once, is_number, named, numbers_of
-from fmuid.data.long_tables import rows_of_signals, with_columns_of_signals
+from fmuid.data.headers import RawTable, check_once, named
+from fmuid.data.long_tables import rows_of_signals, with_columns_of_signals, with_units_of_columns
 from fmuid.data.readers import BINARY, WITH_SHEETS, format_of, is_text, read_binary
 from fmuid.data.readers.base import FileColumns
 from fmuid.data.readers.json_text import read_json
 from fmuid.data.readers.text import read_text
 from fmuid.data.several_clocks import CLOCKS
+from fmuid.data.time_names import is_time_name
 from fmuid.errors import InputError
 from fmuid.files import is_file, is_folder
 
@@ -123,6 +125,7 @@ def read_data(
         raw = _raw_table(read_binary(path, source, sheet), source)
     if len(raw.frame) == 0:
         raise InputError(f"{source}: no samples below the header. Give measured samples.")
+    raw = with_units_of_columns(raw)
     rows = rows_of_signals(raw) if time is not None else None
     if rows is not None and (column := time_column(rows, time or "time", source)) is not None:
         raw = with_columns_of_signals(rows, column)
@@ -227,6 +230,8 @@ def numeric_column(frame: pd.DataFrame, column: str, source: str) -> Floats:
     row, cell = _first_text(series)
     comma = "," in cell and is_number(cell, ",")
     remedy = "Write decimal points." if comma else _remedy_of_texts(series)
+    if is_time_name(column) and ":" in cell:
+        remedy = "Write dates as 2026-02-28 12:00:00, times as 12:00:00."
     raise InputError(f"{source}: column {column!r}: {cell!r} in row {row} is no real number. {remedy}")
 
 

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from datetime import date, datetime, time, timedelta
+from datetime import datetime
 from functools import partial
 from itertools import accumulate
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy.typing as npt
-
+from fmuid.data.cells import MISSING, Cell, is_missing, is_number
 from fmuid.data.time_names import TIME_NAMES, counts_part, is_time_name, plain_name
 from fmuid.errors import InputError
 from fmuid.units import SECONDS, parse_unit, time_unit
@@ -20,26 +18,6 @@ from fmuid.units import SECONDS, parse_unit, time_unit
 if TYPE_CHECKING:
     import pandas as pd
 
-Array = npt.NDArray[Any]
-Cell = str | float | int | bool | date | datetime | time | timedelta | None
-"""Of a text all cells are str; spreadsheets have typed ones."""
-
-MISSING = ("", "-", "--", "---", "nan", "na", "n/a", "#n/a", "null", "none", "inf", "-inf")
-"""Cells without a sample, in small letters; infinite numbers are refused where they are used."""
-
-_MARKS = """---- ----- – — ? * nil ∞ -∞ +∞ missing nodata bad invalid error err fault burnout open ******** ###### +++++
-1.#inf -1.#inf 1.#ind -1.#ind 1.#qnan #value! #num! #div/0! #ref! #name? #wert! #zahl! #bezug! #valeur! #n/v #nv
-ol -ol +ol o.l o.l. 0.l .ol 0l overload overflow over +over -over overrange over-range ovld ovl ovr under underflow"""
-_WORDS = """over range, no data, no signal, underrange, bad input, bad output, i/o timeout, comm fail, pt created,
-shutdown, not connected, out of serv, no result, no sample, unavailable, unknown, not available, (null)"""
-NO_SAMPLE = frozenset((*MISSING, *_MARKS.split(), *_WORDS.replace("\n", " ").split(", ")))
-"""The same of samples alone: errors of spreadsheets, overload of instruments, states of historians."""
-
-OVERLOADS = (9.9e37, 9.91e37)
-"""Numbers for infinity and no number in SCPI (1999.0, section 7.2.1)."""
-
-_NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?\s*", re.ASCII)
-_COMMA_NUMBER = re.compile(r"\s*[+-]?(\d+,?\d*|,\d+)([eEdD][+-]?\d+)?\s*", re.ASCII)
 _WITH_UNIT = re.compile(
     r"(?P<name>.*?\S)(?P<gap>\s*)(\((?P<round>[^()]*(\([^()]*\)[^()]*)*)\)|\[(?P<square>[^\[\]]*)\])"
 )
@@ -92,8 +70,6 @@ _MARKED = re.compile(r"\s*[\[{<]")
 _NO_NAME = re.compile(r"[\d:./\s-]*")
 """Dates and times in the place of names."""
 _INDEX = re.compile(r"[\d\s,:]*")
-_SPACES = " \u00a0\u202f'’"
-_GROUPED = re.compile(rf"\s*[+-]?\d{{1,3}}(?:([.,{_SPACES}])\d{{3}})(?:\1\d{{3}})*(?:([.,])\d+)?\s*", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -212,8 +188,10 @@ def check_once(source: str, names: Sequence[str]) -> None:
     """Refuse columns of one name."""
     for name in names:
         if names.count(name) > 1:
-            called = f"column {name!r} occurs twice" if name else "two columns have no name"
-            raise InputError(f"{source}: {called}. Rename or remove one.")
+            if name:
+                raise InputError(f"{source}: column {name!r} occurs twice. Rename or remove one.")
+            places = ", ".join(str(k) for k, each in enumerate(names, start=1) if not each)
+            raise InputError(f"{source}: columns {places} have no name. Name them in the header.")
 
 
 def find_head(rows: Sequence[Sequence[Cell]], decimal: str = ".") -> TableHeader | None:
@@ -245,7 +223,7 @@ def find_head(rows: Sequence[Sequence[Cell]], decimal: str = ".") -> TableHeader
         if _are_units(rows[k]):
             names, units = _with_names_above(rows[above + 1 : k], rows[k])
             return made(names, units)
-    names = _texts(rows[header])
+    names = _with_names_beside(_texts(rows[header]), rows[first])
     if "" in names[1:] or len({*names}) < len(names):  # as how each column was made: Avg, Smp
         for k in range(header - 1, above, -1):
             if all(each := _texts(rows[k])) and len({*each}) == len(each) and any(map(is_unit, _texts(rows[k + 1]))):
@@ -281,9 +259,21 @@ def _of_one_key(row: Sequence[Cell]) -> tuple[str, tuple[str, ...]]:
     return ("", ()) if _NO_NAME.fullmatch(key) else (key, tuple(text.partition(":")[2].strip() for text in texts))
 
 
+def _with_names_beside(names: Sequence[str], row: Sequence[Cell]) -> tuple[str, ...]:
+    """Return names; one above dates is that of the unnamed numbers beside them."""
+    found = [*names]
+    for k in range(1, len(found)):
+        dated = isinstance(row[k - 1], datetime) or ":" in str(row[k - 1])
+        if not found[k] and found[k - 1] and dated and not is_time_name(found[k - 1]):
+            found[k - 1 : k + 1] = [f"time {found[k - 1]}", found[k - 1]]
+    return tuple(found)
+
+
 def _with_names_above(rows: Sequence[Sequence[Cell]], units: Sequence[Cell]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return names, those missing from rows further up, and units; words for time among units are names."""
     names, *more = [_texts(row) for row in reversed(rows)]
+    if more and len({*names}) < len(names) == len({*more[0]}) and all(more[0][1:]):  # below the names are types
+        names, *more = more
     below = _texts(units)
     if "" in names[1:]:
         more = [*more, tuple("" if is_unit(text) else text for text in below)]
@@ -351,47 +341,6 @@ def _step_said(rows: Sequence[Sequence[Cell]], decimal: str) -> float | None:
         if key in _STEP_KEYS and (unit == "" or unit in SECONDS) and value > 0.0:
             return value * SECONDS.get(unit, 1.0)
     return None
-
-
-def is_number(cell: Cell, decimal: str = ".") -> bool:
-    """Return whether a cell holds a number."""
-    if isinstance(cell, str):
-        pattern = _NUMBER if decimal == "." else _COMMA_NUMBER
-        return pattern.fullmatch(cell) is not None or cell.strip().lower() in ("true", "false")
-    return isinstance(cell, bool | int | float) and not (isinstance(cell, float) and math.isnan(cell))
-
-
-def may_be_number(cell: str, decimal: str) -> bool:
-    """Return whether a text is a number, perhaps with marks between thousands."""
-    return is_number(cell, decimal) or _GROUPED.fullmatch(cell) is not None
-
-
-def numbers_of(cells: Iterable[str], decimal: str) -> list[float] | None:
-    """Return texts as numbers, also 1D3 and 1,069.9; None if one is no number."""
-    found, marks = [], set()
-    clear = False
-    for cell in cells:
-        if not is_number(cell, decimal):
-            grouped = _GROUPED.fullmatch(cell)
-            if grouped is None or grouped[1] == decimal or grouped[2] not in (None, decimal):
-                return None
-            marks.add(grouped[1])
-            clear = clear or grouped[1] in _SPACES or grouped[2] is not None or cell.count(grouped[1]) > 1
-            cell = cell.replace(grouped[1], "")
-        found.append(_number(cell.replace(decimal, ".")))
-    return found if len(marks) <= clear else None
-
-
-def _number(cell: str) -> float:
-    text = cell.strip().lower()
-    return float(text == "true") if text in ("true", "false") else float(text.replace("d", "e"))
-
-
-def is_missing(cell: Cell) -> bool:
-    """Return whether a cell holds no sample."""
-    if isinstance(cell, str):
-        return cell.strip().lower() in NO_SAMPLE
-    return cell is None or (isinstance(cell, float) and math.isnan(cell))
 
 
 def _there(cell: Cell) -> bool:

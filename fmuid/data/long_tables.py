@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from dataclasses import replace
 from typing import Any
@@ -9,7 +10,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from fmuid.data.headers import RawTable, is_missing, numbers_of
+from fmuid.data.cells import is_missing, numbers_of
+from fmuid.data.headers import RawTable, is_unit
 
 _NAMES = (
     *("varname", "variable", "variablename", "name", "signal", "signalname", "tag", "tagname", "channel"),
@@ -46,6 +48,19 @@ def with_columns_of_signals(raw: RawTable, time: str) -> RawTable:
         unit = raw.units.get(values) if units is None else part[units].dropna().astype(str).unique()
         said |= {name: str(unit[0] if units else unit)} if unit is not None and len(unit) == 1 else {}
     return replace(raw, frame=pd.DataFrame(columns), units=said, time=time, clocks=clocks)
+
+
+def with_units_of_columns(raw: RawTable) -> RawTable:
+    """Return a table with the units of columns beside, ``Ch1_Value,Ch1_Unit``."""
+    names = [str(name) for name in raw.frame.columns]
+    said: dict[str, str] = {}
+    for name, after in itertools.pairwise(names):
+        words = re.findall(r"[^\W\d_]+", after.lower())
+        if name in raw.units or not words or words[-1] not in _UNITS:
+            continue
+        units = raw.frame[after].dropna().unique()
+        said |= {name: str(units[0])} if len(units) == 1 and is_unit(str(units[0])) else {}
+    return replace(raw, units=raw.units | said)
 
 
 def _roles(raw: RawTable) -> tuple[str | None, ...]:

@@ -47,3 +47,14 @@ def are_day_numbers(values: Any, column: str) -> bool:
     if column.strip().lower() not in DATES or not pd.api.types.is_numeric_dtype(values.dtype):
         return False
     return bool(values.between(*_DAY_NUMBERS).all() and (values % 1.0 > 0.0).any())
+
+
+def dates_in_digits(values: Any) -> Any:
+    """Return numbers such as 20260131235959 as dates; None for others."""
+    if (
+        not pd.api.types.is_integer_dtype(values.dtype)
+        or not values.between(19_000_101_000_000, 21_001_231_235_959).all()
+    ):
+        return None
+    dates = pd.to_datetime(values.astype(str), format="%Y%m%d%H%M%S", errors="coerce")
+    return None if dates.isna().any() else dates

@@ -29,18 +29,23 @@ _ORDERS = (
 _DOTTED = ("%d{0}%m{0}%Y", "%d{0}%m{0}%y")
 """With dots the day is first."""
 _CLOCKS = (" %H:%M:%S.%f", " %H:%M:%S", " %H:%M", " %I:%M:%S.%f %p", " %I:%M:%S %p", " %I:%M %p")
-_COLON = re.compile(r"(\d:\d{2}:\d{2}):(?=\d{1,6}$)")
-"""A colon before parts of a second."""
 _DATED = re.compile(r"\d+[./-]\w+(?:[./-]\d+)?.*:")
 _MIDNIGHT = re.compile(r"(?<=[ T])24:00(?=:00|$)")
-_CLOCK = re.compile(r"(\d+ days )?\d{1,3}:\d{2}(:\d{1,2}([.,]\d+)?)?")
+_CLOCK = re.compile(r"(\d+ days )?\d{1,3}:\d{1,2}(:\d{1,2}([.,]\d+)?)?")
 _OFFSET = r"(?:Z|[+-]\d{2}:?\d{2})$"
 _WITH_UNIT = re.compile(r"\s*(?P<number>[+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*(?P<unit>[a-zµ]+)\s*")
 _REWRITTEN = (
     (re.compile(r"^\s+|\s+$"), ""),
     (re.compile(r"\s\s+"), " "),
     (re.compile(r"^(\d{1,2})\.(\d{2})(?=\s?[AaPp]\.?[Mm]\.?$)"), r"\1:\2"),
-    (re.compile(r"(?<=\d)\s?([AaPp])\.?[Mm]\.?$"), r" \1m"),
+    (re.compile(r"(?<=\d)\s?([AaPp])\.?\s?[Mm]\.?$"), r" \1m"),
+    (re.compile(r"(\d:\d{2}:\d{2})[:;](?=\d{1,6}(?: [AaPp]m)?$)"), r"\1."),
+    (re.compile(r"^(\d{1,3}:\d{2}[.,]\d+)$"), r"0:\1"),
+    (re.compile(r" (?:UTC|GMT)$"), "Z"),
+    (re.compile(r"^(\d{4})年(\d{1,2})月(\d{1,2})日 ?"), r"\1-\2-\3 "),
+    (re.compile(r"^[A-Z][a-z]{2} ([A-Z][a-z]{2}) (\d{1,2}) ([\d:.]+)(?: [A-Z]+)? (\d{4})$"), r"\2-\1-\4 \3"),
+    (re.compile(r"^([A-Z][a-z]{2})[a-z]* (\d{1,2}),? (\d{4}),? "), r"\2-\1-\3 "),
+    (re.compile(r"^(\d{1,2}) ([A-Z][a-z]{2})[a-z]* (\d{4}),? "), r"\1-\2-\3 "),
     (re.compile(r"^(\d{4}-\d{2}-\d{2})[-_ ](\d{2})-(\d{2})-(\d{2})$"), r"\1T\2:\3:\4"),
     (re.compile(r"^(\d+)d\s+(?=\d{1,2}:)"), r"\1 days "),
 )
@@ -71,7 +76,6 @@ def times_of(series: pd.Series[Any], column: str, source: str) -> tuple[Any, pd.
         cells = texts.map(_WITH_UNIT.fullmatch)
         if cells.notna().all() and all(cell["unit"] in SECONDS for cell in cells):  # 0.01 sec
             return cells.map(lambda cell: float(cell["number"]) * SECONDS[cell["unit"]]).reindex(series.index), None
-    texts = texts.str.replace(_COLON, r"\1.", regex=True) if _COLON.search(first) else texts
     dates = _dates(texts, column, source)
     return (series, None) if dates is None else seconds_of(dates.reindex(series.index))
 
@@ -117,7 +121,7 @@ def time_of_day(series: pd.Series[Any]) -> Any:
     is_text = series.dtype == object or pd.api.types.is_string_dtype(series.dtype)
     if not is_text or series.isna().any() or series.empty:
         return None
-    texts = _in_24_hours(_usual(series.astype(str))).str.replace(_COLON, r"\1.", regex=True)
+    texts = _in_24_hours(_usual(series.astype(str)))
     if not texts.map(lambda text: _CLOCK.fullmatch(text) is not None).all() or texts.str.contains("day").any():
         return None
     whole = texts.str.replace(",", ".").map(lambda text: f"{text}:00" if text.count(":") == 1 else text)

@@ -18,7 +18,15 @@ from tests.support.table_variants import FRAME, MS, SAID, TEXTS, text, writers
 
 U, W = (FRAME[name].to_numpy() for name in "uw")
 OTHERWISE = {"other names", "steps as two samples", "rpm, unsaid", "ms, unsaid", "missing: -999"}
-OTHERWISE |= {"Tektronix TDS", "Keysight InfiniiVision", "scope-matrix.mat", "rates.tdms", "rates.h5"}
+OTHERWISE |= {
+    "JSON lines, nested",
+    "units beside values",
+    "Tektronix TDS",
+    "Keysight InfiniiVision",
+    "scope-matrix.mat",
+    "rates.tdms",
+    "rates.h5",
+}
 """Variants that are read, and are other numbers or names; `tests.studies.test_tables_to_estimates` has them all."""
 WRITERS = {name: each for name, each in writers().items() if name not in {*OTHERWISE, *SAID}}
 FACTORS = {"rpm": np.pi / 30, "1/min": np.pi / 30, "n/min": np.pi / 30, "mV": 1e-3, "kV": 1e3, "mA": 1e-3}

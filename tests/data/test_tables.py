@@ -48,7 +48,7 @@ def test_csv_with_names_as_they_are_and_empty_cells(tmp_path: Path) -> None:
         ("0,1\n1,2\n", "no header. Write the names"),
         ("Times,u\n0,1\n", r"time column 'time' not found \(did you mean 'Times'\?\)"),
         ("This is\nno table\n", r"not found \(did you mean 'This is'|columns: This is\)"),
-        (",u,\n0,1,2\n", "two columns have no name"),
+        (",u,\n0,1,2\n", "columns 1, 3 have no name"),
         ('time,u\n"0,1",1.5\n', "'time': '0,1' in row 1 .*decimal points"),
         ("time,u\n2026-01-01T00:00,1\nsoon,2\n", "'time': 'soon' in row 2|2026-01-01T00:00' in row 1"),
         ("time,u\n01/02/2026 10:00,1\n01/02/2026 10:01,2\n", "day and month of .* are ambiguous"),
@@ -95,11 +95,50 @@ def test_columns_of_one_name_have_numbers_and_are_not_chosen(tmp_path: Path) -> 
         ("11.59am", "12.00pm"),
         ("0d 00:01:0", "0d 00:02:0"),
         ("\t01/31/2026 08:32:34.558", "\t01/31/2026 08:33:34.558"),
+        ("11:59:30 a. m.", "12:00:30 p. m."),
+        ("10:59:30:120", "11:00:30:120"),
+        ("0:59.125", "1:59.125"),
+        ("20260131235959", "20260201000059"),
+        ("2026-01-31 08:32:34.558 UTC", "2026-01-31 08:33:34.558 UTC"),
+        ("2026年1月31日 23:59:30", "2026年2月1日 00:00:30"),
+        ("Sat Jan 31 23:59:30 2026", "Sun Feb 1 00:00:30 2026"),
+        ("Jan 31, 2026 11:59:30 PM", "Feb 1, 2026 12:00:30 AM"),
+        ("31 Jan 2026 23:59:30", "01 Feb 2026 00:00:30"),
+        ("31-Jan-26 23:59:30", "01-Feb-26 00:00:30"),
+        (" 01/31  23:59:00", " 01/31  24:00:00"),
     ],
 )
 def test_spellings_of_times(tmp_path: Path, text: str, times: str) -> None:
     frame = read_data(written(tmp_path, f"time;u\n{text};1\n{times};2\n"))
     np.testing.assert_allclose(frame["time"], [0.0, 60.0])
+
+
+def test_texts_among_numbers_have_a_remedy_that_works(tmp_path: Path) -> None:
+    path = written(tmp_path, "time,u\n" + "".join(f"{k},{'Idle' if k == 3 else k}\n" for k in range(9)))
+    with pytest.raises(InputError, match=r'Set missing = \["Idle"\] if they stand for no sample'):
+        numeric_column(read_data(path), "u", "F")
+    assert np.isnan(numeric_column(read_data(path, missing=["Idle"]), "u", "F")).tolist() == [k == 3 for k in range(9)]
+    with pytest.raises(InputError, match=r"'22h 10:30:00' in row 1 .*Write dates as 2026-02-28 12:00:00"):
+        read_data(written(tmp_path, "time,u\n22h 10:30:00,1\n22h 10:31:00,2\n"))
+
+
+def test_signals_in_rows_have_their_own_times(tmp_path: Path) -> None:
+    rows = [
+        f"{k},{name},{value},{unit}\n" for k in range(4) for name, value, unit in (("a b", k, "V"), ("c", 2 * k, "mA"))
+    ]
+    frame = read_data(written(tmp_path, "Time,Signal,Value,Unit\n" + "".join([*rows, "4,c,,mA\n", "5,c,7,mA\n"])))
+    assert frame.attrs["units"] == {"a b": "V", "c": "mA"}
+    assert frame["c"].dropna().tolist() == [0, 2, 4, 6, 7]
+    assert frame["a b"].dropna().tolist() == [0, 1, 2, 3]
+    assert frame["time"][frame["c"].notna()].tolist() == [0, 1, 2, 3, 5]
+
+
+def test_units_in_cells_of_one_quantity(tmp_path: Path) -> None:
+    frame = read_data(written(tmp_path, "time,i,x,y\n0,1.5 A,1 A,8 V\n1,-,2 V,OL\n2,250 mA,3 A,9 V\n"))
+    np.testing.assert_allclose(frame["i"], [1.5, np.nan, 0.25])
+    assert frame.attrs["units"] == {"i": "A", "y": "V"}
+    with pytest.raises(InputError, match="'1 A' in row 1 is no real number"):
+        numeric_column(frame, "x", "F")
 
 
 def test_days_of_matlab_are_asked_for(tmp_path: Path) -> None:

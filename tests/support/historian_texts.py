@@ -46,6 +46,12 @@ INFLUX = (
 )
 CURVE = "CURVE{}\tTABLE\t120\n\tPt\tT\tu\ti\tw\tOver\n\t#\ts\tV\tA\trad/s\tbits\n"
 CAN = "date Sun Nov 22 10:30:00 2026\nbase hex\nBegin Triggerblock\n   0.000000 Start of measurement\n"
+TREND = "Controller Name:,Rig\nTrend Tags:,3\nSample Period:,10 ms\nHeader:,Date,Time,u,i,w\n"
+LUTRON = "Place,Date,Time,u_value,u_Unit,i_value,i_Unit,w_value,w_Unit\n"
+INCA = "ETASAsciiItemFile\trecord\tCrLf\tTab\nsampleCount\t120\ntime\tu\ti\tw\nf8\tf8\tf8\tf8\ns\tV\tA\trad/s\n"
+LEVELS = (
+    "Cycle ID,Cap(mAh),,,,\n,Step ID,Name,Step Time,,\n,,Record ID,Time,u(V),i(A),w\n1,10,,,,,\n,1,CC,0:00:00.4,,,\n"
+)
 STATES = {7: "I/O Timeout", 8: "Bad Input", 60: "Comm Fail"}
 
 
@@ -58,7 +64,18 @@ def texts(frame: pd.DataFrame, dates: pd.Series) -> dict[str, tuple[str, str]]:
         """Return a text with one line a row."""
         return head + "".join(
             form.format(
-                k=k, n=k + 1, t=t, f=t % 1, c=f"{t:06.3f}", d=date, u=u, i=i, w=w, s=STATES.get(k, i), ma=1e3 * i
+                k=k,
+                n=k + 1,
+                t=t,
+                f=t % 1,
+                m=date.microsecond // 1000,
+                c=f"{t:06.3f}",
+                d=date,
+                u=u,
+                i=i,
+                w=w,
+                s=STATES.get(k, i),
+                ma=1e3 * i,
             )
             + "\n"
             for k, ((t, u, i, w), date) in enumerate(zip(rows, dates, strict=True))
@@ -128,7 +145,20 @@ def texts(frame: pd.DataFrame, dates: pd.Series) -> dict[str, tuple[str, str]]:
         "missing: states of a historian": (
             "a.csv", table("Timestamp,u,i,w\n", "{d:%d-%b-%y %H:%M:%S.%f},{u},{s},{w}"),
         ),
+        "Rockwell": ("a.csv", table(TREND, "Data:,{d:%m/%d/%Y},{d:%H:%M:%S};{m:03d},{u},{i},{w}")),
+        "INCA with types": ("a.ascii", table(INCA, "{t}\t{u}\t{i}\t{w}")),
+        "names above dates": (
+            "a.csv",
+            table("u,,i,,w,\n", ",".join(f"{{d:%d-%b-%y %H:%M:%S.%f}},{{{name}}}" for name in "uiw")),
+        ),
+        "JSON lines, nested": ("a.jsonl", table("", '{{"ts": {t}, "u": {u}, "more": {{"i": {i}, "w": {w}}}}}')),
+        # --- other names ---
+        "units beside values": (
+            "a.csv", table(LUTRON, "{n},{d:%Y/%m/%d},{d:%H:%M:%S.%f},{u},Volt,{ma},mA,{w},rad/s"),
+        ),
         # --- refused ---
+        "JSON of nested lists": ("a.json", '{"status": "success", "data": [{"metric": "u", "values": [[0, "1"]]}]}'),
+        "three levels": ("a.csv", table(LEVELS, ",,{n},0:00:{c},{u},{i},{w}")),
         "minimum and maximum": ("a.csv", table(RECORDER, "{d:%Y/%m/%d},{d:%H:%M:%S.%f},0,{u},{u},{i},{i},{w},{w}")),
         "two curves": ("a.DTA", "EXPLAIN\n" + table(CURVE.format(1), curve) + table(CURVE.format(2), curve)),
         "marks among samples": ("a.msl", "".join((*log[:60], "MARK 001 - Manual - Sun Nov 22\n", *log[60:]))),

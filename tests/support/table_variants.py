@@ -438,6 +438,7 @@ FILES: dict[str, Write] = {
     "inspector.xlsx": lambda path: write_rows(path, [*FRAME], *INSPECTOR),
     "mdf.dat": lambda path: write_mdf(path.with_suffix(".mf4")).rename(path),
     "text.xls": lambda path: path.write_text(text("time\tu\ti\tw", "\t")),
+    "tables.xlsx": lambda path: write_rows(path, [*FRAME], *FRAME.to_numpy().tolist(), [*FRAME]),
     "page.xls": lambda path: path.write_text(FRAME.to_html()),
     "a.mdf": write_mdf,
 }  # fmt: skip
@@ -476,6 +477,9 @@ SAID = {
     "marks among samples": "line 61 among the samples has no number ('MARK 001",
     "messages of a bus": "no table. Save it as CSV",
     "page.xls": "a page in HTML",
+    "tables.xlsx": "row 121 of the samples has no number. Keep one table",
+    "three levels": "rows of three levels",
+    "JSON of nested lists": "column 'data' has lists in its cells",
     "lost.mat": "'w': 60 samples in place of 120",
     "lost.h5": "'w': 60 samples in place of 120",
 }

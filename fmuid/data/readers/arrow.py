@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fmuid.data.headers import Array
+from fmuid.data.cells import Array
 from fmuid.data.readers.base import FileColumns, array_of_cells
 
 _NO_DATE = np.iinfo(np.int64).min

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmuid.data.headers import Array, Cell
+from fmuid.data.cells import Array, Cell
 from fmuid.data.time_names import TIME_NAMES, is_time_name, plain_name
 from fmuid.errors import InputError
 from fmuid.files import ContentError

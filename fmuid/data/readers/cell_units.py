@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from fmuid.data.headers import is_missing, is_unit, numbers_of
+from fmuid.data.cells import is_missing, numbers_of
+from fmuid.data.headers import is_unit
 from fmuid.data.time_names import is_time_name
 from fmuid.units import parse_unit
 

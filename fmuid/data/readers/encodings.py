@@ -9,6 +9,8 @@ from contextlib import suppress
 
 _HIGH = re.compile(rb"[\x80-\xff]+")
 _SHIFTED = re.compile(r"[\u3000-\u30ff\u3400-\u9fff\uff00-\uff5e×÷°±→Ω　\s]+")
+_COMMON = frozenset("时间日期年月电压流温度转速序号")
+"""Characters of Chinese headers and dates, which Russian words hardly have by chance."""
 _MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 
 
@@ -49,6 +51,11 @@ def _asian(start: bytes) -> Iterator[str]:
     runs = _HIGH.findall(start)
     longest = max(map(len, runs), default=0)
     high = b"".join(runs)
+    with suppress(UnicodeDecodeError):
+        text = codecs.getincrementaldecoder("gb18030")().decode(start, final=False)
+        if len(_COMMON.intersection(text)) > 1 and _is_chinese(runs, "".join(each for each in text if ord(each) > 127)):
+            yield "gb18030"
+            return
     if longest >= 3 and sum(each >= 0xC0 or each in (0xA8, 0xB8) for each in high) > 0.9 * len(high):
         yield "cp1251"
         return

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fmuid.data.headers import Array
+from fmuid.data.cells import Array
 from fmuid.data.readers.base import FileColumns, chosen, columns_of_vectors, library
 from fmuid.data.readers.pandas_hdf import PANDAS_TYPE, read_frame
 from fmuid.errors import InputError

@@ -20,6 +20,11 @@ def read_json(path: Path, source: str) -> RawTable:
         frame = frame.apply(as_numbers, decimal=".")
     except Exception:  # of any shape: pandas has no error of its own for it
         raise InputError(f"{source}: not a readable JSON table. Write it again.") from None
+    for name in frame.columns:
+        if frame[name].map(lambda cell: isinstance(cell, list | dict)).any():
+            raise InputError(
+                f"{source}: column {str(name)!r} has lists in its cells. Save it as CSV, a column per signal."
+            )
     names, units = named([str(column) for column in frame.columns])
     check_once(source, names)
     return RawTable(frame.set_axis(names, axis="columns"), units)
@@ -53,7 +58,7 @@ def _frame(content: Any) -> pd.DataFrame:
         index = [*frame.index]
         frame = frame.reset_index(drop=True)
     else:
-        frame = pd.DataFrame(content)
+        frame = pd.json_normalize(content) if isinstance(content, list) else pd.DataFrame(content)
     if index:
         frame.insert(0, "", index)
     rows = "" in frame.columns and [str(each) for each in frame[""]] == [str(k) for k in range(len(frame))]

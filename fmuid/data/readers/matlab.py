@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fmuid.data.headers import Array
+from fmuid.data.cells import Array
 from fmuid.data.readers.base import FileColumns, columns_of_vectors
 from fmuid.data.readers.hdf import variables_of_hdf
 from fmuid.data.time_names import is_time_name

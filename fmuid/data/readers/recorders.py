@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from fmuid.data.cells import Array
 from fmuid.data.expressions import evaluate
-from fmuid.data.headers import Array
 from fmuid.data.readers.base import FileColumns, array_of_cells, library, padded
 from fmuid.errors import InputError
 from fmuid.formatting import bounded

@@ -7,7 +7,8 @@ import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from fmuid.data.headers import Cell, TableHeader, check_units, find_head, is_missing, numbers_of
+from fmuid.data.cells import Cell, is_missing, may_be_number, numbers_of
+from fmuid.data.headers import TableHeader, check_units, find_head
 from fmuid.data.readers.base import FileColumns, array_of_cells, chosen, library
 from fmuid.errors import InputError
 from fmuid.units import SECONDS
@@ -33,6 +34,11 @@ def read_spreadsheet(path: Path, source: str, sheet: str | int | None) -> FileCo
         which = "no sheet holds" if sheet is None else f"the sheet {sheet!r} does not hold"
         raise InputError(f"{source}: {which} a table. Give a header with names, and rows of samples.")
     check_units(best[1], source)
+    for k, row in enumerate(best[0][best[1].first :], start=1):
+        if 2 * sum(
+            isinstance(cell, str) and not is_missing(cell) and not may_be_number(cell, ".") for cell in row
+        ) > len(row):
+            raise InputError(f"{source}: row {k} of the samples has no number. Keep one table in a sheet.")
     return _columns(*best, path)
 
 

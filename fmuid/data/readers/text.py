@@ -21,19 +21,8 @@ from typing import IO, Any
 import numpy as np
 import pandas as pd
 
-from fmuid.data.headers import (
-    NO_SAMPLE,
-    RawTable,
-    TableHeader,
-    check_once,
-    check_units,
-    find_head,
-    is_missing,
-    is_number,
-    may_be_number,
-    named,
-    numbers_of,
-)
+from fmuid.data.cells import NO_SAMPLE, is_missing, is_number, may_be_number, numbers_of
+from fmuid.data.headers import RawTable, TableHeader, check_once, check_units, find_head, named
 from fmuid.data.readers.cell_units import without_units
 from fmuid.data.readers.encodings import decoded
 from fmuid.data.readers.instruments import head_of, rewriter_of
@@ -216,7 +205,8 @@ def _layout(source: str, text: str) -> _Layout:
         rows, blank = without_blank_ends([plain_row(row, separator) for _, row in read])
         for decimal in (".", ","):
             head = find_head(rows, decimal)
-            if head is None or (len(head.names) == 1 and decimal == ","):
+            _check_levels(rows, head, source)
+            if head is None or (len(head.names) == 1 and decimal == ",") or _is_numbers(head.names):
                 continue  # "0,1" alone may as well be two cells
             columns = _numeric_columns(rows[head.first :], len(head.names), decimal)
             if columns > most:
@@ -226,6 +216,14 @@ def _layout(source: str, text: str) -> _Layout:
     best = best or _as_it_is(source, text)
     check_units(best.head, source)
     return best
+
+
+def _check_levels(rows: Sequence[Sequence[str]], head: TableHeader | None, source: str) -> None:
+    """Refuse rows of cycles, steps and records, whose headers stand like stairs."""
+    above = [] if head is None else rows[max(head.first - 3, 0) : head.first]
+    blanks = [next((k for k, cell in enumerate(row) if cell.strip()), 0) for row in above]
+    if blanks == [0, 1, 2] and not any(is_number(cell) for row in above for cell in row):
+        raise InputError(f"{source}: rows of three levels. Export the last one alone, with a total time.")
 
 
 def _numeric_columns(rows: Sequence[Sequence[str]], names: int, decimal: str) -> int:
@@ -252,9 +250,12 @@ def _as_it_is(source: str, text: str) -> _Layout:
     _check_head(source, text)
     rows = [row for _, row in read]
     header = tuple(cell.strip() for cell in rows[0])
-    if all(is_number(part) for name in header for part in name.split()) or is_number(header[0], ","):
+    if _is_numbers(header) or is_number(header[0], ","):
         raise InputError(f"{source}: no header. Write the names of the columns into the first line.")
-    if len({len(row) for row in rows[:20]}) > 2 or (len(header) == 1 and header[0].count(" ") > 1):
+    alone = (
+        len(header) == 1 and len(rows) > 3 and not any(is_number(row[0]) or is_missing(row[0]) for row in rows[1:20])
+    )
+    if alone or len({len(row) for row in rows[:20]}) > 2:
         raise InputError(f"{source}: no table. Save it as CSV: names in the first line, then one row per sample.")
     if len(rows) > 1 and len(rows[1]) != len(header):
         said = f"{len(header)} names in the header, {_cells(len(rows[1]))} in row 1"
@@ -262,6 +263,10 @@ def _as_it_is(source: str, text: str) -> _Layout:
         remedy = "Remove this row" if line else 'Quote names with commas ("x[1,2]")'
         raise InputError(f"{source}: {said}. {remedy}.")
     return _Layout(",", ".", TableHeader(header, (), 1), read[0][0], len(header))
+
+
+def _is_numbers(header: Sequence[str]) -> bool:
+    return all(is_number(part) for name in header for part in name.split()) and any(header)
 
 
 def _check_head(source: str, text: str) -> None:

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import IO
 
-from fmuid.data.headers import is_missing, is_number
+from fmuid.data.cells import is_missing, is_number
 
 SPACES = r"\s+"
 """Separator of cells by any spaces."""

@@ -230,7 +230,7 @@ def test_names_that_no_file_has(coil_folder: Path, capsys: pytest.CaptureFixture
 ROWS = "".join(f"{k / 100},{k % 20 // 10},{np.sin(k)}\n" for k in range(50))
 TABLES: dict[str, tuple[str | bytes, str]] = {
     "empty": ("", "empty. Give a header"),
-    "a page": ("<html><body>Log in</body></html>\n", "no samples below the header"),
+    "a page": ("<html><body>Log in</body></html>\n", "a page in HTML or XML. Save it as"),
     "a PDF": (b"%PDF-1.4\n%\xe2\xe3\xcf\xd3\n1 0 obj\n", "not found (columns: %PDF-1.4)"),
     "binary": (bytes(range(1, 256)) * 9, "not text in UTF-8, UTF-16 or cp1252"),
     "times alone": ("time\n0\n1\n2\n", "no column for the input u"),
