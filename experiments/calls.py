@@ -24,7 +24,8 @@ from experiments import pages
 from fmuid.array_types import Floats
 from fmuid.diagnosis import Alarm, OnsetShape
 from fmuid.diagnosis.baseline_comparator import whitening_of
-from fmuid.diagnosis.cause_analysis import BaselineStatistics, Examination, examine, shown_by
+from fmuid.diagnosis.baseline_statistics import BaselineStatistics, shown_by
+from fmuid.diagnosis.cause_analysis import Examination, examine
 from fmuid.diagnosis.cause_ranking import CauseSet
 from fmuid.diagnosis.causes import CauseKind, ChangeParameterSet
 from fmuid.diagnosis.linearized_machine import LinearizedMachine

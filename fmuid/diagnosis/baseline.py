@@ -19,6 +19,7 @@ from fmuid.data import Experiment, Noise, Parameter, read_arrays, write_arrays
 from fmuid.diagnosis.causes import ChangeParameterSet, name_of
 from fmuid.diagnosis.faults import VARIANT, common_mode
 from fmuid.diagnosis.information_matrix import InformationMatrix, Whitening
+from fmuid.diagnosis.noise_ratios import NoiseRatios
 from fmuid.diagnosis.operating_points import OperatingPoints
 from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUAL
 from fmuid.diagnosis.unexplained_residual import HealthyStructure
@@ -114,6 +115,7 @@ class StoredBaseline:
 
     said: tuple[InformationMatrix, ...]  # of each record, on all coordinates and relative to the healthy ones
     structure: HealthyStructure
+    noise: NoiseRatios
     points: OperatingPoints
     whitening: Whitening
     lines: tuple[float, float]  # rms voltage and current of lines
@@ -130,8 +132,9 @@ class StoredBaseline:
         )
         points = OperatingPoints(self.points.names, np.vstack([self.points.values, new.points.values]))
         subject = replace(self.subject, records=(*self.subject.records, *digests))
+        ratios = NoiseRatios.of_records([self.noise, new.noise])
         said = (*self.said, *new.said)
-        return StoredBaseline(said, structure, points, self.whitening, self.lines, subject)
+        return StoredBaseline(said, structure, ratios, points, self.whitening, self.lines, subject)
 
     def write(self, path: Path) -> Path:
         """Write ``baseline.npz`` and return its path."""
@@ -145,6 +148,8 @@ class StoredBaseline:
             "scores": np.array([each.score for each in self.said]),
             "structure": np.array([each.matrix for each in self.structure.records]),
             "structure_scores": np.array([each.score for each in self.structure.records]),
+            "noise": self.noise.ratios,
+            "noise_samples": self.noise.samples,
             "points": self.points.values,
         }
         return write_arrays(path, arrays)
@@ -159,11 +164,13 @@ class StoredBaseline:
             parts = tuple(map(InformationMatrix, sums["structure"], sums["structure_scores"]))
             structure = HealthyStructure(text.groups, parts, text.samples)
             points = OperatingPoints(text.points, sums["points"])
-            return cls(said, structure, points, Whitening(text.noise), text.lines, text.of, path)
+            ratios = NoiseRatios(sums["noise"], sums["noise_samples"])
+            return cls(said, structure, ratios, points, Whitening(text.noise), text.lines, text.of, path)
         except (KeyError, ValueError, TypeError) as error:
             if needed:
                 raise InputError(f"{path}: no complete file of fmuid identify ({error}). {REMEDY}") from None
-            none = HealthyStructure({}, (), 0), OperatingPoints((), np.zeros((0, 0)))
+            nothing = np.zeros((0, 0))
+            none = HealthyStructure({}, (), 0), NoiseRatios(nothing, nothing), OperatingPoints((), nothing)
             return cls((), *none, Whitening({}), (0.0, 0.0), None, path)
 
 

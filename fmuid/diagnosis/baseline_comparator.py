@@ -12,7 +12,8 @@ from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
 from fmuid.data import Experiment
 from fmuid.diagnosis.baseline import Baseline, BaselineSource, MachineDigest, StoredBaseline, digest_of_record
-from fmuid.diagnosis.cause_analysis import BaselineStatistics, error_of, shown_by
+from fmuid.diagnosis.baseline_statistics import BaselineStatistics, shown_by
+from fmuid.diagnosis.cause_analysis import error_of
 from fmuid.diagnosis.causes import SETTINGS as CAUSES
 from fmuid.diagnosis.causes import Causes, ChangeParameterSet, SignalScale, coordinates_of
 from fmuid.diagnosis.faults import Fault, with_variants

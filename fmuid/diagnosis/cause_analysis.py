@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Container, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from fmuid.array_types import Floats
-from fmuid.data import Experiment
-from fmuid.diagnosis.baseline import BaselineSource, StoredBaseline
+from fmuid.diagnosis.baseline_statistics import BaselineStatistics, structure_of
 from fmuid.diagnosis.cause_ranking import SETTINGS as CAUSE_RANKING
 from fmuid.diagnosis.cause_ranking import CauseRanking, CauseSet, estimate_sizes, log_odds, name
 from fmuid.diagnosis.cause_results import ChangeEvidence, explanations, score
-from fmuid.diagnosis.causes import Cause, CauseKind, ChangeParameterSet, line_scale
+from fmuid.diagnosis.causes import Cause, CauseKind, ChangeParameterSet
 from fmuid.diagnosis.change_detection import MinPDistribution, fit
 from fmuid.diagnosis.information_matrix import (
     ChangePrior,
@@ -25,16 +24,11 @@ from fmuid.diagnosis.information_matrix import (
     is_determined,
 )
 from fmuid.diagnosis.linearized_machine import LinearizedMachine, residual_and_columns, residual_of
-from fmuid.diagnosis.operating_points import OperatingPoints
-from fmuid.diagnosis.population import Population, Scales, tempered
+from fmuid.diagnosis.noise_ratios import NoiseChange, NoiseRatios, is_white
 from fmuid.diagnosis.rule import MODEL_ERROR
 from fmuid.diagnosis.unexplained_residual import (
     NOTHING_LEFT,
-    HealthyStructure,
     UnexplainedResidual,
-    lagged,
-    regression,
-    signal_sizes,
 )
 from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUAL
 from fmuid.errors import SimulationError
@@ -47,6 +41,7 @@ class AnalysisSettings:
     null_steps: int = 2  # linearizations at the estimate without causes, ...
     close: float = 0.03  # ... until the error of the linear model is below this, in standard deviations
     name_steps: int = 10  # linearizations at sizes of causes
+    noise_steps: int = 3  # examinations beside larger noise, of which limited innovations show a part
     settled: float = 0.1  # standard deviations; sizes that move by less have settled
     tolerated: float = 3.0  # the largest error of known faults over κ: three standard deviations
 
@@ -76,54 +71,7 @@ class Examination:
     at: Linearization  # the last one
     estimate: ChangePrior  # all coordinates relative to the healthy ones, beside the named causes
     residuals: tuple[Floats, Floats]  # (K, n_outputs) of the first record, without and with the named causes
-
-
-@dataclass(frozen=True, eq=False)
-class BaselineStatistics:
-    """Statistics of the healthy machine, compared with new records."""
-
-    known: ChangePrior  # of all coordinates, relative to the healthy ones
-    whitening: Whitening
-    drift: Floats  # (N,) standard deviation of changes that are no fault
-    structure: HealthyStructure | None = None  # of healthy residuals; None without records
-    basis: BaselineSource = BaselineSource.RESULT
-    population: Population | None = None
-    points: OperatingPoints | None = None
-
-    @classmethod
-    def of(
-        cls,
-        shown: StoredBaseline,
-        coordinates: ChangeParameterSet,
-        drift: Floats,
-        basis: BaselineSource = BaselineSource.RECORDS,
-    ) -> BaselineStatistics:
-        """Return the statistics of healthy records."""
-        population = _population(
-            shown, *(tuple(each.tolist()) for each in (coordinates.normal, drift, coordinates.scatter))
-        )
-        return cls(population.known, shown.whitening, drift, shown.structure, basis, population, shown.points)
-
-
-@lru_cache(maxsize=8)  # for many records of one machine
-def _population(
-    shown: StoredBaseline, normal: tuple[float, ...], drift: tuple[float, ...], scatter: tuple[float, ...]
-) -> Population:
-    """Return the population of a baseline's records, tempered."""
-    scales = Scales(np.array(normal), np.array(drift), np.array(scatter))
-    return tempered(Population.of(shown.said, scales), shown.said, scales)
-
-
-def shown_by(
-    records: Sequence[LinearizedMachine], whitening: Whitening, coordinates: ChangeParameterSet
-) -> StoredBaseline:
-    """Return the sums of healthy records, at least one."""
-    said = [_information(machine, whitening, coordinates.healthy, coordinates.healthy) for machine in records]
-    parts = tuple(_structure([machine], whitening, coordinates.healthy) for machine in records)
-    samples = sum(int(np.count_nonzero(machine.experiment.counted)) for machine in records)
-    structure = HealthyStructure(_groups(records[0].experiment, coordinates), parts, samples)
-    points = OperatingPoints.of([machine.experiment for machine in records])
-    return StoredBaseline(tuple(said), structure, points, whitening, line_scale(records[0].experiment))
+    white: Mapping[str, Floats]  # (n,) by output, of all records, whitened, with the named causes
 
 
 def examine(
@@ -133,19 +81,44 @@ def examine(
     level: float,
     model_error: float = MODEL_ERROR,
 ) -> Examination:
-    """Return the changes in records of one machine at a false-alarm level; κ is `model_error`."""
+    """Return the changes in records of one machine at a false-alarm level; κ is `model_error`.
+
+    Beside healthy records, outputs with more noise than theirs have it in a second examination.
+    """
     work = _CauseAnalyzer(machines, healthy, coordinates, level, model_error)
+    found = _examined(work)
+    if healthy.noise is None:
+        return found
+    share = UNEXPLAINED_RESIDUAL.level_share / len(work.factors)
+    for _ in range(SETTINGS.noise_steps):
+        larger = {name: new.ratio for name, new in work.noise_of(found).items() if new.is_larger(share * level)}
+        if not larger:
+            break
+        work = replace(work, noise={name: old * larger.get(name, 1.0) for name, old in work.factors.items()})
+        found = _examined(work)
+    whole = {name: values * math.sqrt(work.factors[name]) for name, values in found.white.items()}
+    each = work.noise_of(replace(found, white=whole))
+    louder = {name: is_white(found.white[name], level) for name, new in each.items() if new.is_larger(share * level)}
+    return replace(found, evidence=found.evidence.with_noise(each, louder, share))
+
+
+def _examined(work: _CauseAnalyzer) -> Examination:
+    """Return the changes in records beside some noise."""
+    coordinates, level, model_error = work.coordinates, work.level, work.model_error
     at = work.at(coordinates.healthy)
     for _ in range(SETTINGS.null_steps):
-        target = coordinates.without_faults(coordinates.healthy + work.null(at.raw))
+        target = work.sound_point(at)
         if at.said.curvature(target - at.point, coordinates.magnitude) < SETTINGS.close:
             break
         at = work.at(coordinates.toward(at.point, target))
-    chance, null, steady = MinPDistribution.of(at.news, at.causes), at.point, True
+    chance, null, steady = MinPDistribution.of(at.news, at.causes), at, True
     naming = name(at.news, at.causes, level, chance=chance, model_error=model_error)
     if naming.named:
         naming, at, steady = work.settled(naming, at, chance)
-    residuals = [residual_of(machines[0].experiment, machines[0].outputs(point)) for point in (null, at.point)]
+
+    lead = naming.named[0] if naming.named else None
+    own = [] if lead is None else list(map(coordinates.base, lead.causes))
+    white = work.white_residual(at, work.sound_point(at) if lead is None else work.named_point(lead, at, own))
     evidence = ChangeEvidence(
         naming.probability,
         naming.alarm,
@@ -153,14 +126,17 @@ def examine(
         tuple(score(_strongest(own, at.news), at.news, at.causes, coordinates) for own in coordinates.by_name.values()),
         model_error,
         naming.temper,
-        work.variance(at.point),
-        work.variance(null),
-        sum(int(np.count_nonzero(each.experiment.counted)) for each in machines),
+        work.ratio(white),
+        work.ratio(work.white_residual(null, null.point)),
+        sum(map(len, white.values())),
         steady,
         work.remainder(at, naming),
-        healthy.basis,
+        work.healthy.basis,
     )
-    return Examination(coordinates, evidence, naming, at, work.estimate(at, naming), (residuals[0], residuals[1]))
+    first = work.machines[0]
+    residuals = [residual_of(first.experiment, first.outputs(point)) for point in (null.point, at.point)]
+    estimate = work.estimate(at, naming)
+    return Examination(coordinates, evidence, naming, at, estimate, (residuals[0], residuals[1]), white)
 
 
 def error_of(
@@ -193,6 +169,15 @@ class _CauseAnalyzer:
     coordinates: ChangeParameterSet
     level: float
     model_error: float
+    noise: Mapping[str, float] = field(default_factory=dict)  # variance over the healthy one, by output; default 1
+
+    @cached_property
+    def factors(self) -> dict[str, float]:
+        return {**dict.fromkeys(self.healthy.whitening.models, 1.0), **self.noise}
+
+    @cached_property
+    def whitening(self) -> Whitening:
+        return self.healthy.whitening.louder(self.factors) if self.noise else self.healthy.whitening
 
     @cached_property
     def known(self) -> ChangePrior:
@@ -212,7 +197,7 @@ class _CauseAnalyzer:
 
     def at(self, point: Floats) -> Linearization:
         """Return the statistics of the records, linearized at a point (N,)."""
-        whitening, healthy = self.healthy.whitening, self.coordinates.healthy
+        whitening, healthy = self.whitening, self.coordinates.healthy
         first, *others = (_information(machine, whitening, point, healthy) for machine in self.machines)
         said = sum(others, start=first)
         raw = ScoreStatistics.of(said, self.at_details(point))
@@ -235,20 +220,35 @@ class _CauseAnalyzer:
         covariance = self.known.after_also(at.said).covariance
         return ChangePrior(self.null(at.raw, new), covariance + shared @ spread @ shared.T)
 
-    def variance(self, point: Floats) -> float:
-        """Return the residual variance at a point over the noise variance."""
-        squares, samples = 0.0, 0
+    def white_residual(self, at: Linearization, point: Floats) -> dict[str, Floats]:
+        """Return the whitened residual (n,) by output at a point, linearized."""
+        parts: dict[str, list[Floats]] = {}
         for machine in self.machines:
-            residual = residual_of(machine.experiment, machine.outputs(point))
-            white = self.healthy.whitening(machine.experiment, residual[:, :, None])
-            squares, samples = squares + float(np.sum(white**2)), samples + white.size
-        return squares / samples
+            columns = residual_and_columns(machine, at.point)
+            for output, _, values in at.whitening.of_outputs(machine.experiment, columns):
+                parts.setdefault(output, []).append(values @ np.append(1.0, at.point - point))
+        return {output: np.concatenate(each) for output, each in parts.items()}
+
+    def noise_of(self, found: Examination) -> dict[str, NoiseChange]:
+        """Compare the noise of each output with that of healthy records."""
+        assert self.healthy.noise is not None
+        new = NoiseRatios.of(found.white, self.healthy.whitening)
+        return dict(zip(self.factors, self.healthy.noise.compared(new, found.naming.temper), strict=True))
+
+    def ratio(self, white: Mapping[str, Floats]) -> float:
+        """Return the variance of a whitened residual over healthy noise."""
+        squares = sum(self.factors[name] * float(values @ values) for name, values in white.items())
+        return squares / sum(map(len, white.values()))
 
     def remainder(self, at: Linearization, naming: CauseRanking) -> UnexplainedResidual:
         """Return the change of the regression on inputs, beside all causes."""
         if self.healthy.structure is None:
             return NOTHING_LEFT
-        return self.healthy.structure.test(_structure(self.machines, at.whitening, at.point), naming.temper)
+        return self.healthy.structure.test(structure_of(self.machines, at.whitening, at.point), naming.temper)
+
+    def sound_point(self, at: Linearization) -> Floats:
+        """Return the point (N,) without causes."""
+        return self.coordinates.without_faults(self.coordinates.healthy + self.null(at.raw))
 
     def named_point(self, lead: CauseSet, at: Linearization, before: Collection[Cause]) -> Floats:
         """Return the point (N,) of the named causes; other faults are not there.
@@ -335,42 +335,3 @@ def _information(machine: LinearizedMachine, whitening: Whitening, point: Floats
     """Return a record's information at a point, relative to healthy coordinates."""
     white = whitening(machine.experiment, residual_and_columns(machine, point))
     return InformationMatrix.of(white[:, 1:], white[:, 0] + white[:, 1:] @ (point - healthy))
-
-
-def _groups(experiment: Experiment, coordinates: ChangeParameterSet) -> dict[str, tuple[int, ...]]:
-    """Return the columns of each group of `_structure`."""
-    count = 1 + (len(UNEXPLAINED_RESIDUAL.spans) - 1) * len(experiment.input_names)
-    found, first = {}, 0
-    for output in experiment.output_names:
-        found[f"inputs to {output}"] = tuple(range(first, first + count))
-        first += count
-    parameters = len(coordinates.of(CauseKind.PARAMETER))
-    for signal in (*experiment.input_names, *experiment.output_names):
-        found[f"parameters by {signal}"] = tuple(range(first, first + parameters))
-        first += parameters
-    return found
-
-
-def _structure(machines: Sequence[LinearizedMachine], whitening: Whitening, point: Floats) -> InformationMatrix:
-    """Return the information of all groups beside all coordinates."""
-    first, *others = (_regressed(machine, whitening, point) for machine in machines)
-    return sum(others, start=first)
-
-
-def _regressed(machine: LinearizedMachine, whitening: Whitening, point: Floats) -> InformationMatrix:
-    experiment = machine.experiment
-    inputs, own_columns = lagged(experiment.input_values), residual_and_columns(machine, point)
-    sizes = signal_sizes(np.hstack([experiment.input_values, machine.linearize(point)[0]]))
-    varying = own_columns[:, :, [1 + i for i in machine.coordinates.of(CauseKind.PARAMETER)]]
-    varying = (varying[:, :, None, :] * sizes[:, None, :, None]).reshape(*varying.shape[:2], -1)
-    (rows, outputs, n), count = own_columns.shape, inputs.shape[1]
-    beside = np.broadcast_to(inputs[:, None, :], (rows, outputs, count))
-    whole = np.concatenate([own_columns, beside, varying], axis=2)
-    there = np.flatnonzero(experiment.counted.any(axis=0)).tolist()
-    white = [values for _, values in whitening.of_outputs(experiment, whole)]
-    own = [np.zeros((len(values), count * outputs + varying.shape[2])) for values in white]
-    for j, values, mine in zip(there, white, own, strict=True):  # each output has coefficients of its own
-        mine[:, j * count : (j + 1) * count] = values[:, n : n + count]
-        mine[:, count * outputs :] = values[:, n + count :]
-    every = np.vstack([values[:, :n] for values in white])
-    return regression(every[:, 0], np.vstack(own), every[:, 1:])

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import numpy as np
 from scipy import special
@@ -15,6 +16,8 @@ from fmuid.diagnosis.cause_ranking import CauseSet, nearest_cause
 from fmuid.diagnosis.causes import Cause, CauseKind, ChangeParameterSet, name_of
 from fmuid.diagnosis.change_detection import CauseFit, fit, probability
 from fmuid.diagnosis.information_matrix import ScoreStatistics
+from fmuid.diagnosis.noise_ratios import NoiseChange
+from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUAL
 from fmuid.diagnosis.unexplained_residual import UnexplainedResidual
 from fmuid.estimation import check_level
 
@@ -164,10 +167,42 @@ class ChangeEvidence:
         rest = max(0.0, self.remainder.statistic - self.remainder.degrees)
         return statistic / (statistic + rest) if statistic > 0 else 0.0
 
+    def with_noise(self, each: Mapping[str, NoiseChange], louder: Mapping[str, bool], share: float) -> ChangeEvidence:
+        """Return the evidence with the noise of each output as a cause.
+
+        `louder` are outputs with more noise than healthy records have. Without color it is that of the sensor, else
+        unexplained. `share` is that of the level for each output.
+        """
+        scores = {output: _noise_score(output, change) for output, change in each.items()}
+        chances = {output: min(1.0, scores[output].probability / share) for output in louder}
+        sensors = [output for output, is_white in louder.items() if is_white]
+        noisy, rest = tuple(scores[output].change for output in sensors), self.remainder
+        for output in (name for name, is_white in louder.items() if not is_white):
+            chance = UNEXPLAINED_RESIDUAL.structure_share * chances[output]
+            rest = min(
+                rest, UnexplainedResidual(scores[output].statistic, 1, chance, output), key=attrgetter("probability")
+            )
+        with_noise = [replace(one, changes=(*one.changes, *noisy)) for one in self.explanations]
+        return replace(
+            self,
+            probability=min([self.probability, *(chances[output] for output in sensors)]),
+            alarm=self.alarm or bool(noisy),
+            explanations=tuple(with_noise) or ((Explanation(noisy, 1.0),) if noisy else ()),
+            suspects=(*self.suspects, *scores.values()),
+            remainder=rest,
+        )
+
     @property
     def faults(self) -> tuple[str, ...]:
         """Named faults, the most likely first."""
         return tuple(dict.fromkeys(name for each in self.explanations for name in each.faults))
+
+
+def _noise_score(output: str, change: NoiseChange) -> CauseScore:
+    """Return the noise of an output as a cause."""
+    value, std = change.size
+    size = EstimatedChange(CauseKind.NOISE, output, "", value, std, "", -1.0)
+    return CauseScore(size, change.statistic, change.probability, "", math.nan)
 
 
 def explanations(named: Sequence[CauseSet], coordinates: ChangeParameterSet) -> tuple[Explanation, ...]:

@@ -63,11 +63,12 @@ class CauseKind(Enum):
     INPUT_GAIN = "input gain"
     JOINT = "joint"  # resistance in series with a line, from the simulated current
     DEAD_TIME = "dead time"  # voltage against the sign of each line current
+    NOISE = "noise"  # standard deviation of an output's noise; beside healthy records, and no coordinate
 
     @property
     def is_share(self) -> bool:
         """True if the size is a share."""
-        return self in (CauseKind.GAIN, CauseKind.INPUT_GAIN)
+        return self in (CauseKind.GAIN, CauseKind.INPUT_GAIN, CauseKind.NOISE)
 
 
 SENSOR_KINDS = (CauseKind.GAIN, CauseKind.OFFSET, CauseKind.DELAY)

@@ -25,7 +25,6 @@ from fmuid.diagnosis.diagnosis_result import BaselineDeviation, Diagnosis
 from fmuid.diagnosis.faults import VARIANT, Fault, checked_faults, with_variants
 from fmuid.diagnosis.linearized_machine import LinearizedMachine
 from fmuid.diagnosis.rule import FALSE_ALARM_LEVEL, MODEL_ERROR
-from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUAL
 from fmuid.diagnosis.unexplained_residual import VarianceRatio
 from fmuid.errors import InputError
 from fmuid.estimation import SENSITIVITIES, Marquardt, Result, check_level
@@ -139,7 +138,7 @@ def diagnose(
     return Diagnosis(
         level=how.level,
         evidence=evidence,
-        unexplained=_unexplained(evidence, found, known.freedom, how.level),
+        unexplained=_unexplained(evidence, found, known.freedom),
         nominal=dict(zip(known.common, zip(values, stds, strict=True), strict=False)),
         noise_variance=known.variance(listed[0].output_names),
         deviation=_deviation(found) if evidence.basis.alone else None,
@@ -164,14 +163,13 @@ def _mismatched(machines: Sequence[LinearizedMachine], made: BaselineComparator)
     return tuple(dict.fromkeys(apart_at))
 
 
-def _unexplained(evidence: ChangeEvidence, found: Examination, freedom: float, level: float) -> VarianceRatio:
-    """Test the residual: its variance, or beside healthy data its regression on the inputs."""
-    if evidence.basis.alone:
-        noise = found.at.whitening
-        share = sum(map(noise.independent_share, noise.models)) / len(noise.models)
-        return VarianceRatio.of(evidence.ratio, share * evidence.samples, share * freedom, level)
-    p = evidence.remainder.probability
-    return VarianceRatio(evidence.ratio, p, p < UNEXPLAINED_RESIDUAL.structure_share * level)
+def _unexplained(evidence: ChangeEvidence, found: Examination, freedom: float) -> VarianceRatio:
+    """Test the residual: its variance, or beside healthy data its structure."""
+    if not evidence.basis.alone:
+        return VarianceRatio(evidence.ratio, evidence.remainder.probability)
+    noise = found.at.whitening
+    share = sum(map(noise.independent_share, noise.models)) / len(noise.models)
+    return VarianceRatio.of(evidence.ratio, share * evidence.samples, share * freedom)
 
 
 def _deviation(found: Examination) -> BaselineDeviation | None:

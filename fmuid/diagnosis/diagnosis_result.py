@@ -12,6 +12,7 @@ import pandas as pd
 from fmuid import codec
 from fmuid.diagnosis.cause_results import ChangeEvidence, EstimatedChange
 from fmuid.diagnosis.operating_points import Coverage
+from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUAL
 from fmuid.diagnosis.unexplained_residual import VarianceRatio
 from fmuid.display_mixins import PlotMixin
 from fmuid.errors import InputError
@@ -117,13 +118,20 @@ class Diagnosis(PlotMixin):
         ``"undecided"`` (a fault is not identifiable) or ``"healthy"``.
         """
         known = self.evidence.basis.alone and self.evidence.explained >= EXPLAINED_SHARE
-        if self.unexplained.larger and not known:
+        if self.is_partial and not known:
             return "unexplained"
         if self.evidence.alarm:
             if len(self.evidence.explanations) > 1:
                 return "ambiguous"
             return "fault" if self.named else "other"
         return "undecided" if self.undetermined else "healthy"
+
+    @property
+    def is_partial(self) -> bool:
+        """True if the named causes leave more than healthy noise."""
+        if self.evidence.basis.alone:
+            return self.unexplained.is_larger(UNEXPLAINED_RESIDUAL.level_share * self.level)
+        return self.unexplained.probability < UNEXPLAINED_RESIDUAL.structure_share * self.level
 
     @property
     def undetermined(self) -> tuple[str, ...]:

@@ -35,6 +35,13 @@ class Whitening:
         """Return the whitening of white noise with known variances."""
         return cls({name: OutputNoise.white(variance) for name, variance in variances.items()})
 
+    def louder(self, factors: Mapping[str, float]) -> Whitening:
+        """Return the whitening of noise with variances larger by factors, by output."""
+        stds = {name: self.std(name) for name in self.models}
+        return Whitening(
+            {name: each.of_variance(factors[name] * stds[name] ** 2) for name, each in self.models.items()}
+        )
+
     def std(self, output: str) -> float:
         """Return the standard deviation of an output's noise."""
         return self.models[output].process.std
@@ -56,18 +63,18 @@ class Whitening:
 
     def __call__(self, experiment: Experiment, columns: Floats) -> Floats:
         """Return innovations (n, 1 + m) of residual and columns, in σ."""
-        return np.vstack([white for _, white in self.of_outputs(experiment, columns)])
+        return np.vstack([white for _, _, white in self.of_outputs(experiment, columns)])
 
     def of_outputs(
         self, experiment: Experiment, columns: Floats, begins: Floats | None = None
-    ) -> Iterator[tuple[Indices, Floats]]:
-        """Yield them by output, with the rows of the record; lines are fitted anew from each of `begins`, s."""
+    ) -> Iterator[tuple[str, Indices, Floats]]:
+        """Yield them by output, with its name and rows; lines are fitted anew from each of `begins`, s."""
         for series in output_series([experiment], experiment.output_names):
             j = experiment.output_names.index(series.output)
             rows = np.flatnonzero(experiment.counted[:, j])
             own = [] if begins is None else np.searchsorted(experiment.times[rows], begins).tolist()
             borders = sorted({0, *own, rows.size}) if own else []
-            yield rows, self.models[series.output].whiten(series, columns[rows, j], borders)
+            yield series.output, rows, self.models[series.output].whiten(series, columns[rows, j], borders)
 
 
 @dataclass(frozen=True, eq=False)

@@ -154,11 +154,15 @@ class VarianceRatio:
 
     ratio: float
     probability: float  # by noise alone
-    larger: bool  # significantly
 
     @classmethod
-    def of(cls, ratio: float, samples: float, freedom: float, level: float) -> VarianceRatio:
+    def of(cls, ratio: float, samples: float, freedom: float) -> VarianceRatio:
         """Test a ratio over independent samples: χ², or F if the noise was estimated with `freedom`."""
         exact = math.isinf(freedom)
-        chance = float(special.chdtrc(samples, samples * ratio) if exact else special.fdtrc(samples, freedom, ratio))
-        return cls(ratio, chance, bool(ratio > SAME_VARIANCE_RATIO and chance < SETTINGS.level_share * level))
+        return cls(
+            ratio, float(special.chdtrc(samples, samples * ratio) if exact else special.fdtrc(samples, freedom, ratio))
+        )
+
+    def is_larger(self, level: float) -> bool:
+        """Return whether the variance is larger."""
+        return self.ratio > SAME_VARIANCE_RATIO and self.probability < level

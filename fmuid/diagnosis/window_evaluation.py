@@ -19,8 +19,11 @@ from fmuid.diagnosis.causes import Cause, CauseKind
 from fmuid.diagnosis.change_detection import fit, log_chances, log_limit
 from fmuid.diagnosis.diagnosis_result import EXPLAINED_SHARE
 from fmuid.diagnosis.information_matrix import LEAST, ChangePrior, ScoreStatistics
+from fmuid.diagnosis.noise_ratios import NoiseRatios
 from fmuid.diagnosis.onset_tracker import OnsetTracker, statistics_of
+from fmuid.diagnosis.population import SETTINGS as POPULATION
 from fmuid.diagnosis.rule import Rule
+from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUAL
 from fmuid.diagnosis.unexplained_residual import VarianceRatio
 from fmuid.diagnosis.windows import WatchedRecord, WindowSums
 
@@ -138,7 +141,24 @@ class MonitorReference:
             for each in self.coordinates.each
         ]
         self.lower, self.upper = np.array(limits).T
+        healthy = made.healthy
+        few = healthy.noise is None or len(healthy.noise.ratios) < POPULATION.least
+        self._healthy_ratios = None if few or healthy.noise is None else healthy.noise.pooled
         self.limit = lru_cache(lambda level, windows: log_limit(level, self.coordinates.causes, windows))
+
+    def noise(self, sums: WindowSums, at: Floats) -> VarianceRatio:
+        """Compare a window's residual at some coordinates with healthy noise."""
+        samples, share = max(1, sums.samples), self.made.healthy.whitening.share
+        ratio = sums.squares(at) / samples
+        if self._healthy_ratios is None:
+            return VarianceRatio.of(ratio, share * samples, share * self.made.baseline.freedom)
+        new = NoiseRatios(np.array([[ratio]]), np.array([[share * samples]]))
+        return self._healthy_ratios.compared(new)[0]
+
+    @cached_property
+    def all_free(self) -> ChangePrior:
+        """Prior with the coordinates of all causes free."""
+        return self.free(tuple(range(self.magnitude.size)))
 
     def free(self, columns: tuple[int, ...]) -> ChangePrior:
         """Return the prior with some coordinates free."""
@@ -153,7 +173,10 @@ class WindowEvaluation:
     """Change statistics after one more window, at its false-alarm level."""
 
     def __init__(self, against: MonitorReference, now: MonitorState, sums: WindowSums, level: float) -> None:
-        self.against, self.sums, self.level = against, sums, level
+        self.against, self.raw, self.level = against, sums, level
+        # its noise may be larger than healthy noise, beside causes of any size
+        noise = against.noise(sums, against.all_free.after_also(sums.whole).mean)
+        self.sums = sums = sums.quieter(noise.ratio) if noise.is_larger(against.rule.level) else sums
         self.watch, record = now.watch.copy(), now.records[-1]
         self.clock = sums.window.end + record.clock - record.begin
         self.watch.add(sums.blocks(record.clock - record.begin))
@@ -225,16 +248,15 @@ class WindowEvaluation:
 
     @cached_property
     def _ratios(self) -> tuple[float, float]:
-        """Variance of the residual over the noise, without and with named causes."""
+        """Variance over the healthy one, without and with named causes."""
         null = self.against.known.after_also(self.sums.whole).mean if self.free else self.estimate.mean
-        without, with_ = (self.sums.squares(at) / max(1, self.sums.samples) for at in (null, self.estimate.mean))
+        without, with_ = (self.against.noise(self.raw, at).ratio for at in (null, self.estimate.mean))
         return without, with_
 
     @cached_property
     def unexplained(self) -> bool:
         """True if the residual is larger than the noise in any case."""
-        share, freedom = self.against.made.healthy.whitening.share, self.against.made.baseline.freedom
-        return VarianceRatio.of(self._ratios[1], share * self.sums.samples, share * freedom, self.level).larger
+        return self.against.noise(self.raw, self.estimate.mean).is_larger(UNEXPLAINED_RESIDUAL.level_share * self.level)
 
     @property
     def label(self) -> str:

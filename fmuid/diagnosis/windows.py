@@ -141,6 +141,10 @@ class WindowSums:
         gram = self.grams.sum(axis=0)
         return InformationMatrix(gram[1:, 1:], gram[1:, 0])
 
+    def quieter(self, factor: float) -> WindowSums:
+        """Return the sums beside noise with a variance larger by a factor."""
+        return replace(self, grams=self.grams / factor)
+
     def squares(self, at: Floats) -> float:
         """Return the sum of squares of the residual at some coordinates (N,)."""
         along = np.concatenate([[1.0], -at])
@@ -153,7 +157,7 @@ def summed(
     """Yield the sums of windows, linearized at a point (N,)."""
     part, whole = machine.experiment, residual_and_columns(machine, point)
     begins, white = np.array([each.begin - each.slack for each in windows]), list[tuple[Floats, Floats]]()
-    for kept, values in whitening.of_outputs(part, whole, begins):
+    for _, kept, values in whitening.of_outputs(part, whole, begins):
         values[:, 0] += values[:, 1:] @ (point - healthy)
         white.append((part.times[kept], values))
     for window in windows:

@@ -179,7 +179,7 @@ def test_similar_causes_are_named_together(look: Look) -> None:
     assert np.degrees(fault.rival_angle) < 10
     assert "CHANGE, indistinguishable: " in verdict(found).text
     alone = look(2, L=0.012, causes=NONE)
-    assert [each.change.kind for each in alone.evidence.suspects] == [CauseKind.FAULT]
+    assert [each.change.kind for each in alone.evidence.suspects] == [CauseKind.FAULT, CauseKind.NOISE]
     assert names(alone) == [TURNS]
 
 

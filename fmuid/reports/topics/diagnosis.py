@@ -136,6 +136,7 @@ CHANGES = {
     "joint": "joint in line {}",
     "dead time": "dead time of the inverter{}",
     "parameter": "drift of parameter {}",
+    "noise": "noise of sensor {}",
 }
 
 
@@ -175,7 +176,7 @@ def diagnosis_notes(found: Diagnosis) -> list[Remark]:
     notes = [*check_first(found), *coverage_notes(found), *deviation_notes(found.deviation)]
     notes += solver_remarks(found.fitted, found.accuracy)
     notes += [DiagnosisMessage.MISMATCHED.said("changes", name=name) for name in found.mismatched]
-    if evidence.alarm and found.unexplained.larger and found.kind != "unexplained":
+    if evidence.alarm and found.is_partial and found.kind != "unexplained":
         notes.append(DiagnosisMessage.PARTLY.said("explained", share=evidence.explained))
     if evidence.basis.alone:
         notes.append(DiagnosisMessage.NOT_TESTED.said())
@@ -193,6 +194,7 @@ CHECKS = {
     "parameter": "temperature, and value of {}",
     "joint": "terminals and joints of line {}",
     "dead time": "dead time of the inverter{}",
+    "noise": "cable, shield and connector of sensor {}",
 }
 
 

@@ -1,0 +1,119 @@
+"""Statistics of healthy records, with which new records are compared."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from fmuid.array_types import Floats
+from fmuid.data import Experiment
+from fmuid.diagnosis.baseline import BaselineSource, StoredBaseline
+from fmuid.diagnosis.causes import CauseKind, ChangeParameterSet, line_scale
+from fmuid.diagnosis.information_matrix import ChangePrior, InformationMatrix, Whitening
+from fmuid.diagnosis.linearized_machine import LinearizedMachine, residual_and_columns
+from fmuid.diagnosis.noise_ratios import NoiseRatios
+from fmuid.diagnosis.operating_points import OperatingPoints
+from fmuid.diagnosis.population import Population, Scales, tempered
+from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUAL
+from fmuid.diagnosis.unexplained_residual import HealthyStructure, lagged, regression, signal_sizes
+
+
+@dataclass(frozen=True, eq=False)
+class BaselineStatistics:
+    """Statistics of the healthy machine, compared with new records."""
+
+    known: ChangePrior  # of all coordinates, relative to the healthy ones
+    whitening: Whitening
+    drift: Floats  # (N,) standard deviation of changes that are no fault
+    structure: HealthyStructure | None = None  # of healthy residuals; None without records
+    noise: NoiseRatios | None = None  # of the same residuals
+    basis: BaselineSource = BaselineSource.RESULT
+    population: Population | None = None
+    points: OperatingPoints | None = None
+
+    @classmethod
+    def of(
+        cls,
+        shown: StoredBaseline,
+        coordinates: ChangeParameterSet,
+        drift: Floats,
+        basis: BaselineSource = BaselineSource.RECORDS,
+    ) -> BaselineStatistics:
+        """Return the statistics of healthy records."""
+        population = _population(
+            shown, *(tuple(each.tolist()) for each in (coordinates.normal, drift, coordinates.scatter))
+        )
+        structure = shown.structure, shown.noise
+        return cls(population.known, shown.whitening, drift, *structure, basis, population, shown.points)
+
+
+@lru_cache(maxsize=8)  # for many records of one machine
+def _population(
+    shown: StoredBaseline, normal: tuple[float, ...], drift: tuple[float, ...], scatter: tuple[float, ...]
+) -> Population:
+    """Return the population of a baseline's records, tempered."""
+    scales = Scales(np.array(normal), np.array(drift), np.array(scatter))
+    return tempered(Population.of(shown.said, scales), shown.said, scales)
+
+
+def shown_by(
+    records: Sequence[LinearizedMachine], whitening: Whitening, coordinates: ChangeParameterSet
+) -> StoredBaseline:
+    """Return the sums of healthy records, at least one."""
+    said, ratios = list[InformationMatrix](), list[NoiseRatios]()
+    for machine in records:
+        columns = residual_and_columns(machine, coordinates.healthy)
+        white = {name: values for name, _, values in whitening.of_outputs(machine.experiment, columns)}
+        every = np.vstack(list(white.values()))
+        said.append(InformationMatrix.of(every[:, 1:], every[:, 0]))
+        along = np.concatenate([[1.0], -ChangePrior.after(said[-1], coordinates.normal).mean])
+        ratios.append(NoiseRatios.of({name: values @ along for name, values in white.items()}, whitening))
+    parts = tuple(structure_of([machine], whitening, coordinates.healthy) for machine in records)
+    samples = sum(int(np.count_nonzero(machine.experiment.counted)) for machine in records)
+    structure = HealthyStructure(_groups(records[0].experiment, coordinates), parts, samples)
+    points = OperatingPoints.of([machine.experiment for machine in records])
+    lines = line_scale(records[0].experiment)
+    return StoredBaseline(tuple(said), structure, NoiseRatios.of_records(ratios), points, whitening, lines)
+
+
+def _groups(experiment: Experiment, coordinates: ChangeParameterSet) -> dict[str, tuple[int, ...]]:
+    """Return the columns of each group of `_structure`."""
+    count = 1 + (len(UNEXPLAINED_RESIDUAL.spans) - 1) * len(experiment.input_names)
+    found, first = {}, 0
+    for output in experiment.output_names:
+        found[f"inputs to {output}"] = tuple(range(first, first + count))
+        first += count
+    parameters = len(coordinates.of(CauseKind.PARAMETER))
+    for signal in (*experiment.input_names, *experiment.output_names):
+        found[f"parameters by {signal}"] = tuple(range(first, first + parameters))
+        first += parameters
+    return found
+
+
+def structure_of(machines: Sequence[LinearizedMachine], whitening: Whitening, point: Floats) -> InformationMatrix:
+    """Return the information of all groups beside all coordinates."""
+    first, *others = (_regressed(machine, whitening, point) for machine in machines)
+    return sum(others, start=first)
+
+
+def _regressed(machine: LinearizedMachine, whitening: Whitening, point: Floats) -> InformationMatrix:
+    experiment = machine.experiment
+    inputs, own_columns = lagged(experiment.input_values), residual_and_columns(machine, point)
+    sizes = signal_sizes(np.hstack([experiment.input_values, machine.linearize(point)[0]]))
+    varying = own_columns[:, :, [1 + i for i in machine.coordinates.of(CauseKind.PARAMETER)]]
+    varying = (varying[:, :, None, :] * sizes[:, None, :, None]).reshape(*varying.shape[:2], -1)
+    (rows, outputs, n), count = own_columns.shape, inputs.shape[1]
+    beside = np.broadcast_to(inputs[:, None, :], (rows, outputs, count))
+    whole = np.concatenate([own_columns, beside, varying], axis=2)
+    white, own = list[Floats](), list[Floats]()
+    for output, _, values in whitening.of_outputs(experiment, whole):
+        mine = np.zeros((len(values), count * outputs + varying.shape[2]))
+        first = count * experiment.output_names.index(output)  # each output has coefficients of its own
+        mine[:, first : first + count], mine[:, count * outputs :] = values[:, n : n + count], values[:, n + count :]
+        white.append(values[:, :n])
+        own.append(mine)
+    every = np.vstack(white)
+    return regression(every[:, 0], np.vstack(own), every[:, 1:])
