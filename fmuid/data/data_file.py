@@ -23,6 +23,7 @@ from fmuid.data.readers.json_text import read_json
 from fmuid.data.readers.text import read_text
 from fmuid.data.several_clocks import CLOCKS
 from fmuid.data.time_names import is_time_name
+from fmuid.data.time_numbers import dates_of_parts
 from fmuid.errors import InputError
 from fmuid.files import is_file, is_folder
 
@@ -76,8 +77,8 @@ def read_data(
     sample_rate : float, optional
         Samples per second of a file without times.
     sheet : str or int, optional
-        Sheet of a spreadsheet or frame of an HDF5 file, by name or place from 1. Default: the first with
-        ten samples, else the longest.
+        Sheet of a spreadsheet or frame of an HDF5 file, by name or place from 1. Default: the first that
+        is no summary of a ten times longer one.
     missing : sequence of str or float, optional
         Texts and numbers that stand for no sample, such as ``["OL", -9999]``. Values far beyond all others are
         refused where they are used, unless it is given.
@@ -126,9 +127,11 @@ def read_data(
     if len(raw.frame) == 0:
         raise InputError(f"{source}: no samples below the header. Give measured samples.")
     raw = with_units_of_columns(raw)
+    if time == "time" and (dates := dates_of_parts(raw.frame)) is not None:
+        raw = replace(raw, frame=raw.frame.assign(time=dates))
     rows = rows_of_signals(raw) if time is not None else None
     if rows is not None and (column := time_column(rows, time or "time", source)) is not None:
-        raw = with_columns_of_signals(rows, column)
+        raw = with_columns_of_signals(rows, column, source)
     raw = replace(raw, frame=raw.frame.apply(_without_marks, marks=tuple(missing or ())))
     timed = TimedTable(raw.frame)
     if time is not None:

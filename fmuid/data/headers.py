@@ -222,6 +222,8 @@ def find_head(rows: Sequence[Sequence[Cell]], decimal: str = ".") -> TableHeader
     for k in range(above + 2, header + 1):
         if _are_units(rows[k]):
             names, units = _with_names_above(rows[above + 1 : k], rows[k])
+            if k + 1 == header and "" in names and all(below := _texts(rows[header])):  # units stand above names
+                names = below
             return made(names, units)
     names = _with_names_beside(_texts(rows[header]), rows[first])
     if "" in names[1:] or len({*names}) < len(names):  # as how each column was made: Avg, Smp
@@ -229,12 +231,12 @@ def find_head(rows: Sequence[Sequence[Cell]], decimal: str = ".") -> TableHeader
             if all(each := _texts(rows[k])) and len({*each}) == len(each) and any(map(is_unit, _texts(rows[k + 1]))):
                 return made(each, _texts(rows[k + 1]))
     alike = [_texts(row) for row in rows[:header] if len(row) == len(names)]
-    if alike and _are_units(rows[header]) and all(names[1:]):  # names are numbers of channels
-        return made(alike[-1], names)
     said = {each[0].lower(): each for each in reversed(alike)}
     above_names = next((said[key] for key in _NAME_KEYS if key in said), ())
-    if above_names and all(_NO_NAME.fullmatch(name) for name in names[1:]):
+    if above_names and (_are_units(rows[header]) or all(_NO_NAME.fullmatch(name) for name in names[1:])):
         names = above_names
+    elif alike and _are_units(rows[header]) and all(names[1:]):  # names are numbers of channels
+        return made(alike[-1], names)
     units = _units_said(rows[:header], names)
     if above_names and len({*names}) < len(names) == len(above_names):  # Min and Max of each channel
         begins = [*accumulate((k if own else 0 for k, own in enumerate(above_names)), max)]

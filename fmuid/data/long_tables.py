@@ -12,6 +12,7 @@ import pandas as pd
 
 from fmuid.data.cells import is_missing, numbers_of
 from fmuid.data.headers import RawTable, is_unit
+from fmuid.errors import InputError
 
 _NAMES = (
     *("varname", "variable", "variablename", "name", "signal", "signalname", "tag", "tagname", "channel"),
@@ -28,8 +29,14 @@ def rows_of_signals(raw: RawTable) -> RawTable | None:
     return None if names is None or values is None else replace(raw, frame=raw.frame.dropna(subset=[names, values]))
 
 
-def with_columns_of_signals(raw: RawTable, time: str) -> RawTable:
-    """Return a table with a column per signal, and its times."""
+def with_columns_of_signals(raw: RawTable, time: str, source: str) -> RawTable:
+    """Return a table with a column per signal, and its times.
+
+    Raises
+    ------
+    InputError
+        If a signal has several values at one time, as of several devices.
+    """
     names, values, units = _roles(raw)
     assert names is not None and values is not None
     rows = raw.frame.dropna(subset=time)
@@ -40,6 +47,11 @@ def with_columns_of_signals(raw: RawTable, time: str) -> RawTable:
     said: dict[str, str] = {time: raw.units[time]} if time in raw.units else {}
     clocks: dict[str, str] = {}
     for name, part in groups.items():
+        others = part.select_dtypes(exclude="number").drop(columns=[time, names, values], errors="ignore")
+        devices = [str(each) for each in others if 1 < others[each].nunique() < len(others) / 2]
+        if devices and part[time].duplicated().any():
+            said_so = f"signal {name!r} has several values at one time, by column {devices[0]!r}"
+            raise InputError(f"{source}: {said_so}. Keep the rows of one {devices[0]}.")
         clock = time if together or not columns else f"{time} {name}"
         columns |= {} if clock in columns else {clock: part[time].reset_index(drop=True)}
         columns[name] = _numbers(part[values]).reset_index(drop=True)

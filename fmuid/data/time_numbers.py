@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
+from fmuid.data.time_names import is_time_name
 from fmuid.units import SECONDS
 
 _CENTURY = (946_684_800.0, 4_102_444_800.0)
@@ -57,4 +58,16 @@ def dates_in_digits(values: Any) -> Any:
     ):
         return None
     dates = pd.to_datetime(values.astype(str), format="%Y%m%d%H%M%S", errors="coerce")
+    return None if dates.isna().any() else dates
+
+
+def dates_of_parts(frame: pd.DataFrame) -> Any:
+    """Return dates of columns such as year, month, day and hour; None without them."""
+    parts = {str(name).strip().lower().rstrip("s"): column for name, column in frame.items()}
+    parts = {name: parts[name] for name in ("year", "month", "day", "hour", "minute", "second") if name in parts}
+    numeric = all(pd.api.types.is_numeric_dtype(column.dtype) for column in parts.values())
+    others = [name for name in map(str, frame.columns) if is_time_name(name) and not name.lower().startswith("second")]
+    if others or len(parts) < 4 or not {"year", "month", "day"} <= parts.keys() or not numeric:
+        return None
+    dates = pd.to_datetime(pd.DataFrame(parts), errors="coerce")
     return None if dates.isna().any() else dates

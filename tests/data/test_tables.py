@@ -133,6 +133,18 @@ def test_signals_in_rows_have_their_own_times(tmp_path: Path) -> None:
     assert frame["time"][frame["c"].notna()].tolist() == [0, 1, 2, 3, 5]
 
 
+def test_signals_of_several_devices_are_refused(tmp_path: Path) -> None:
+    rows = "".join(f"{k},{host},u,{k}\n" for k in range(6) for host in "ab")
+    with pytest.raises(InputError, match=r"'u' has several values at one time, by column 'host'\. Keep the rows"):
+        read_data(written(tmp_path, f"time,host,name,value\n{rows}"))
+
+
+def test_dates_in_columns_of_their_parts(tmp_path: Path) -> None:
+    rows = "".join(f"2026,2,28,23,{k},30,{k}\n" for k in (58, 59)) + "2026,3,1,0,0,30,1\n"
+    frame = read_data(written(tmp_path, f"Year,Month,Day,Hour,Minute,Second,u\n{rows}"))
+    np.testing.assert_array_equal(frame["time"], [0.0, 60.0, 120.0])
+
+
 def test_units_in_cells_of_one_quantity(tmp_path: Path) -> None:
     frame = read_data(written(tmp_path, "time,i,x,y\n0,1.5 A,1 A,8 V\n1,-,2 V,OL\n2,250 mA,3 A,9 V\n"))
     np.testing.assert_allclose(frame["i"], [1.5, np.nan, 0.25])

@@ -52,7 +52,14 @@ INCA = "ETASAsciiItemFile\trecord\tCrLf\tTab\nsampleCount\t120\ntime\tu\ti\tw\nf
 LEVELS = (
     "Cycle ID,Cap(mAh),,,,\n,Step ID,Name,Step Time,,\n,,Record ID,Time,u(V),i(A),w\n1,10,,,,,\n,1,CC,0:00:00.4,,,\n"
 )
-STATES = {7: "I/O Timeout", 8: "Bad Input", 60: "Comm Fail"}
+DL950 = """"TraceName","u","i","w"
+"VUnit","V","A","rad/s"
+"HResolution",1.0E-02,1.0E-02,1.0E-02
+"HUnit","s","s","s"
+
+"""
+TINYTAG = ",Serial number,1,,\n,Property,u,i,w\n,,V,A,rad/s\n"
+STATES = {6: "I/O Timeout", 7: "Bad Input", 59: "Comm Fail"}
 
 
 def texts(frame: pd.DataFrame, dates: pd.Series) -> dict[str, tuple[str, str]]:
@@ -152,6 +159,8 @@ def texts(frame: pd.DataFrame, dates: pd.Series) -> dict[str, tuple[str, str]]:
             table("u,,i,,w,\n", ",".join(f"{{d:%d-%b-%y %H:%M:%S.%f}},{{{name}}}" for name in "uiw")),
         ),
         "JSON lines, nested": ("a.jsonl", table("", '{{"ts": {t}, "u": {u}, "more": {{"i": {i}, "w": {w}}}}}')),
+        "Yokogawa DL950": ("a.csv", table(DL950, ",{u},{i},{w}")),
+        "Tinytag": ("a.csv", table(TINYTAG, "{n},{d:%Y-%m-%d %H:%M:%S.%f},{u} V,{i} A,{w} rad/s")),
         # --- other names ---
         "units beside values": (
             "a.csv", table(LUTRON, "{n},{d:%Y/%m/%d},{d:%H:%M:%S.%f},{u},Volt,{ma},mA,{w},rad/s"),

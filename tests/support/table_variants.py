@@ -396,6 +396,7 @@ FILES: dict[str, Write] = {
     "a.ods": write_sheet,
     "units.xlsx": lambda path: write_rows(path, [*FRAME], ["ms", "V", "A", "rad/s"], frame=MS),
     "texts.xlsx": lambda path: write_rows(path, [*FRAME], frame=FRAME.map(repr)),
+    "above.xlsx": lambda path: write_rows(path, RIG, ["s", "V", "A", "rad/s"], [*FRAME]),
     "heads.xlsx": lambda path: write_rows(path, RIG, DRIVE, [*FRAME], ["s", "V", "A", "rad/s"]),
     "dates.xlsx": lambda path: FRAME.assign(time=DATES).to_excel(path, index=False),
     "index.xlsx": FRAME.to_excel,

@@ -17,33 +17,33 @@ _CELL = re.compile(r"<c ([^>]*)><v>([-+.\deE]+)</v>")
 
 
 def read_spreadsheet(path: Path, source: str, sheet: str | int | None) -> FileColumns:
-    """Read a sheet by name or place from 1; default: the first with ten samples, else the one with most."""
+    """Read a sheet by name or place from 1; default: the first that is no summary of a ten times longer one."""
     book = library("python_calamine", "excel", source).CalamineWorkbook.from_path(path)
-    best: tuple[list[list[Cell]], TableHeader] | None = None
+    tables: list[tuple[list[list[Cell]], TableHeader]] = []
     for name in book.sheet_names if sheet is None else [chosen(book.sheet_names, sheet, source)]:
         filled = [row for row in book.get_sheet_by_name(name).to_python() if not all(map(is_missing, row))]
         widest = range(max(map(len, filled), default=0))
         columns = [k for k in widest if not all(is_missing(row[k]) for row in filled)]
         rows = [[row[k] for k in columns] for row in filled]
         head = find_head(rows)
-        if head is not None and (best is None or len(rows) - head.first > len(best[0]) - best[1].first):
-            best = rows, head
-        if best is not None and len(best[0]) - best[1].first >= 10:  # no summary
+        tables += [] if head is None else [(rows[head.first :], head)]
+        if tables and len(tables[0][0]) >= 10:  # no summary
             break
-    if best is None:
+    if not tables:
         which = "no sheet holds" if sheet is None else f"the sheet {sheet!r} does not hold"
         raise InputError(f"{source}: {which} a table. Give a header with names, and rows of samples.")
-    check_units(best[1], source)
-    for k, row in enumerate(best[0][best[1].first :], start=1):
-        if 2 * sum(
-            isinstance(cell, str) and not is_missing(cell) and not may_be_number(cell, ".") for cell in row
-        ) > len(row):
+    longest = max(len(samples) for samples, _ in tables)
+    samples, head = next(each for each in tables if 10 * len(each[0]) >= longest)
+    check_units(head, source)
+    for k, row in enumerate(samples, start=1):
+        texts = [cell for cell in row if isinstance(cell, str) and not is_missing(cell)]
+        if 2 * sum(not may_be_number(cell, ".") for cell in texts) > len(row):
             raise InputError(f"{source}: row {k} of the samples has no number. Keep one table in a sheet.")
-    return _columns(*best, path)
+    return _columns(samples, head, path)
 
 
 def _columns(rows: list[list[Cell]], head: TableHeader, path: Path) -> FileColumns:
-    samples = [[None if is_missing(cell) else cell for cell in row] for row in rows[head.first :]]
+    samples = [[None if is_missing(cell) else cell for cell in row] for row in rows]
     cells = [_numbers([row[k] for row in samples]) for k in range(len(head.names))]
     whole = _shown_as_whole(path)
     broken = [[each for each in column[:100] if isinstance(each, float) and each % 1] for column in cells]

@@ -87,7 +87,7 @@ def read_text(path: Path, source: str) -> RawTable:
             frame = _samples(_without_end(again, layout), source, layout, names)
             if clock is not None and pd.api.types.is_numeric_dtype(frame[names[0]].dtype):
                 frame[names[0]] = clock[0] + clock[1] * frame[names[0]]
-            for name in frame.select_dtypes(["object", "str"]).columns.difference([*said]):
+            for name in frame.select_dtypes(["object", "str"]).columns:
                 frame[name], unit = without_units(frame[name], layout.decimal)
                 said |= {} if unit is None else {name: unit}
             if layout.head.step is not None:  # it may stand for an empty column of times
