@@ -167,6 +167,8 @@ def _other_clocks(
         clock = _clock(raw, name, unit, source, usual) if said else _likely_clock(raw, name, unit, usual, source)
         if clock is None:
             continue
+        if not pd.api.types.is_numeric_dtype(np.asarray(clock.values).dtype):
+            raise InputError(f"{source}: time column {name!r} has texts. Write dates as 2026-02-28 12:00:00.")
         times, other = main.seconds(), clock.seconds(main.begin)
         if slow := unit is None and _unit_by_dates(raw, main, clock):
             said_so = f"time column {main.name!r} counts in {slow} by the dates of {name!r}"
@@ -239,7 +241,7 @@ def _are_times(values: Any, source: str, mostly: float = 1.0) -> bool:
         steps = np.diff(np.asarray(numbers, dtype=np.float64))
     except (InputError, ValueError, TypeError):
         return False
-    return bool(steps.size and (steps > 0).mean() >= mostly and (begin is not None or (steps != 1).any()))
+    return bool(steps.size and (steps > 0).mean() >= mostly and (begin is not None or np.median(steps) != 1))
 
 
 def _scaled(values: Any, factor: float) -> Any:

@@ -40,8 +40,10 @@ def with_columns_of_signals(raw: RawTable, time: str, source: str) -> RawTable:
     names, values, units = _roles(raw)
     assert names is not None and values is not None
     rows = raw.frame.dropna(subset=time)
+    if rows.empty:
+        raise InputError(f"{source}: no row has a name, a time and a value. Give measured samples.")
     groups = {str(name): part for name, part in rows.groupby(names, sort=False)}
-    first = next(iter(groups.values()), rows)[time].tolist()
+    first = next(iter(groups.values()))[time].tolist()
     together = all(part[time].tolist() == first for part in groups.values())
     columns: dict[str, Any] = {}
     said: dict[str, str] = {time: raw.units[time]} if time in raw.units else {}

@@ -11,16 +11,19 @@ import numpy as np
 import pytest
 
 from fmuid import Experiment, InputError, read_data
-from tests.support import instrument_texts, spoilt_texts
+from tests.support import historian_texts, instrument_texts, spoilt_texts
 from tests.support.table_variants import DATES, FRAME, ROWS
 
+LOGGERS = ("HOBO", "EasyLog", "Grafana", "Digatron", "VCDS", "Tinytag")
 TEXTS = instrument_texts.texts(FRAME, DATES)
+TEXTS |= {name: each for name, each in historian_texts.texts(FRAME, DATES).items() if name in LOGGERS}
 WITHOUT_TIMES = {"LabVIEW without times", "Yokogawa"}
 """Texts in which nothing shows a row that is gone."""
 FACTORS = {"rpm": np.pi / 30, "mA": 1e-3}
 LONG = {
     *("ANSYS", "catman", "DEWESoft", "Graphtec", "Hioki", "INCA", "Keysight 34970A", "Rohde & Schwarz", "Yokogawa WT"),
     *("days of spreadsheets", "one block below another", "percent in cells", "rows are columns"),
+    *LOGGERS,
 }
 COUNTS = [2, pytest.param(20, marks=pytest.mark.slow)]
 

@@ -285,6 +285,7 @@ def _parsed(opened: Callable[[], IO[bytes]], layout: _Layout, names: list[str], 
     """Return the rows as pandas reads them; `fast` in parts, without spaces."""
     with opened() as file, warnings.catch_warnings():
         warnings.simplefilter("ignore", pd.errors.DtypeWarning)
+        warnings.simplefilter("error", pd.errors.ParserWarning)  # more cells than names in the first row
         for _ in range(layout.line):
             file.readline()
         frame: pd.DataFrame = pd.read_csv(
@@ -308,15 +309,17 @@ def _samples(opened: Callable[[], IO[bytes]], source: str, layout: _Layout, name
             frame = _parsed(opened, layout, names, fast=False)
     except pd.errors.EmptyDataError:  # a header alone; how few rows there are is said by who needs them
         return pd.DataFrame({name: [] for name in names})
-    except (csv.Error, pd.errors.ParserError) as error:
+    except (csv.Error, pd.errors.ParserError, pd.errors.ParserWarning) as error:
         _check_block(opened, layout, source)
         raise InputError(f"{source}: {_of_parser(str(error), layout.width)}") from None
     rows = len(frame)
     if not any(map(pd.api.types.is_numeric_dtype, frame.dtypes)):  # parts put together, each with the header
         frame = frame[~(frame == list(layout.head.names)).all(axis="columns")].reset_index(drop=True)
     frame = frame.apply(as_numbers, decimal=layout.decimal)
-    remark = len(frame) > 20 and frame[names[-1]].count() == 1  # such as a serial number in the first row alone
-    uneven = frame[names[-1]].hasnans and not remark and not _are_even(opened, layout, rows)
+    last = frame[names[-1]]
+    uneven = last.hasnans and not _are_even(
+        opened, layout, rows, remark=last.count() == 1 and bool(last.notna().iloc[0])
+    )
     if uneven or not any(map(pd.api.types.is_numeric_dtype, frame.dtypes)):
         _check_block(opened, layout, source)
     if uneven:
@@ -336,8 +339,11 @@ def _check_block(opened: Callable[[], IO[bytes]], layout: _Layout, source: str) 
         raise InputError(f"{source}: {said}. Remove it, or keep one table in a file.")
 
 
-def _are_even(opened: Callable[[], IO[bytes]], layout: _Layout, rows: int) -> bool:
-    """Return whether rows without quotes have all separators; none has more, or pandas would refuse it."""
+def _are_even(opened: Callable[[], IO[bytes]], layout: _Layout, rows: int, *, remark: bool) -> bool:
+    """Return whether rows without quotes have all separators; with a remark, the first alone has the last one.
+
+    None has more, or pandas would refuse it.
+    """
     found, mark = 0, layout.separator.encode()
     with opened() as file:
         for _ in range(layout.line):
@@ -346,7 +352,7 @@ def _are_even(opened: Callable[[], IO[bytes]], layout: _Layout, rows: int) -> bo
             if b'"' in part:
                 return False
             found += part.count(mark)
-    return found == rows * (layout.width - 1)
+    return found == rows * (layout.width - 1) or (remark and found == rows * (layout.width - 2) + 1)
 
 
 def _of_parser(error: str, width: int) -> str:
