@@ -140,7 +140,7 @@ def diagnose(
     figures: Figures = None,
     no_report: NoReport = False,
 ) -> int:
-    """Diagnose the faults that a study names; exit code 1 for a fault."""
+    """Diagnose the faults that a study names; exit code 1 for a change."""
     folder = folder_of(output, study)
     with opened(study, set_, no_isolation, folder) as read:
         if read.diagnosis is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -98,6 +99,10 @@ class DiagnosisMessage(Message, section="causes"):
     RESIDUAL = plain(
         "Residual variance: {ratio:.3g} × baseline (p = {probability:.2g}).", "a small p means an unexplained rest"
     )
+    STRUCTURE = plain(
+        "Residual variance: {ratio:.3g} × baseline; unexplained structure: p = {probability:.2g}.",
+        "beside healthy data; more variance without structure is noise of a sensor",
+    )
     MODEL_ERROR = plain(
         "Fault-model error: {share:.2g} % along other signatures.", "difference between a fault and its model"
     )
@@ -153,7 +158,7 @@ def verdict(found: Diagnosis) -> Remark:
         from_result = evidence.basis.alone
         how = DiagnosisMessage.UNEXPLAINED if from_result else DiagnosisMessage.UNEXPLAINED_INPUTS
     elif found.kind == "ambiguous":
-        given["causes"] = " or ".join(said)
+        given["causes"] = alternatives(evidence.explanations)
         given["kind"] = "FAULT" if all(each.faults for each in evidence.explanations) else "CHANGE"
         how = DiagnosisMessage.EQUAL
     elif evidence.alarm:
@@ -234,6 +239,16 @@ def deviation_notes(deviation: BaselineDeviation | None) -> list[Remark]:
     return [DiagnosisMessage.DEVIATION.said("changes", **given)]
 
 
+def alternatives(explanations: Sequence[Explanation]) -> str:
+    """Return explanations; what all of them have stands once, behind."""
+    both = tuple(change for change in explanations[0].changes if all(change in one.changes for one in explanations))
+    if len(explanations) == 1 or any(set(one.changes) <= set(both) for one in explanations):
+        return " or ".join(map(explanation_words, explanations))
+    alone = (replace(one, changes=tuple(each for each in one.changes if each not in both)) for one in explanations)
+    behind = f"; with each {explanation_words(Explanation(both, 1.0))}" if both else ""
+    return " or ".join(map(explanation_words, alone)) + behind
+
+
 def explanation_words(each: Explanation) -> str:
     """Return the changes that explain data together, with their sizes."""
     said = [f"{e.fault}, {e.variable} =" if e.fault else f"{change_name(e)}," for e in each.changes]
@@ -269,7 +284,9 @@ def diagnosis_document(found: DiagnosisRun) -> Document:
     said = [
         verdict(result),
         DiagnosisMessage.COMMON.said("", values=values),
-        DiagnosisMessage.RESIDUAL.said("explained", **left),
+        (DiagnosisMessage.RESIDUAL if result.evidence.basis.alone else DiagnosisMessage.STRUCTURE).said(
+            "explained", **left
+        ),
         DiagnosisMessage.MODEL_ERROR.said("", share=100 * result.evidence.model_error),
         *diagnosis_notes(result),
     ]
