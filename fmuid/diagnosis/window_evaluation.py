@@ -62,7 +62,7 @@ class MonitorState:
         date, begin = record.frame.attrs.get(BEGIN), float(record.times[0])
         counts = begin + max(record.warmup, transient)
         made = WatchedRecord(record.name, begin, self.watch.end, "" if date is None else str(date), counts)
-        return replace(self, records=(*self.records, made), judgement=None, statistic=0.0)
+        return replace(self, records=(*self.records, made), statistic=0.0)
 
     def cut(self, windows: int, *, grows: bool) -> MonitorState:
         """Return the state with so many more windows of the last record."""
@@ -187,14 +187,14 @@ class WindowEvaluation:
         # thresholds change little: by the next power of 2
         limit = against.limit(level, windows if windows < 16 else 1 << (windows - 1).bit_length())
         self.statistic = float(statistics.ravel()[int(np.argmin(chances))])
-        self.now = self._judged(now) if chances.min() < limit else replace(now, judgement=None, statistic=0.0)
-        found = self.now.judgement
         begin = sums.window.begin + record.clock - record.begin
-        settled = found is not None and found.since <= begin + sums.window.slack
-        if found is not None and settled:
-            self.now = self._ended(found, begin)
-        self.ended = found is not None and self.now.judgement is None
+        # the alarm so far is of a change before this window
+        self.now = now if now.judgement is None else self._ended(now, now.judgement, begin)
+        self.ended = self.now.judgement is not now.judgement
+        if not self.ended:
+            self.now = self._judged(self.now) if chances.min() < limit else replace(now, judgement=None, statistic=0.0)
         found = self.now.judgement
+        settled = found is not None and found.since <= begin + sums.window.slack
         self.free = found.columns if found is not None and settled else ()
         self.known = against.free(self.free) if self.free else against.known
         self.estimate = self.known.after_also(sums.whole)
@@ -207,9 +207,9 @@ class WindowEvaluation:
         self.watch.pinned = found.when.between
         return replace(now, judgement=found, statistic=self.statistic)
 
-    def _ended(self, found: AlarmDecision, begin: float) -> MonitorState:
+    def _ended(self, now: MonitorState, found: AlarmDecision, begin: float) -> MonitorState:
         """Return the state, without the alarm if its causes are gone."""
-        now, columns = self.now, list(found.columns)
+        columns = list(found.columns)
         information, score = ScoreStatistics.of(self.sums.whole, self.against.known).part(columns)
         gone = now.gone + float(0.5 * found.sizes @ information @ found.sizes - score @ found.sizes)
         if gone <= 0.0:

@@ -75,6 +75,19 @@ def test_a_fault_is_found_and_a_warm_winding_is_none(healthy_coil: fmuid.Result)
     assert "raised at 21 s. Size at the alarm: turns.dR = " in said and "Current size: turns, dR = 0.49" in said
 
 
+def test_a_fault_of_one_recording_ends_with_it(healthy_coil: fmuid.Result) -> None:
+    """Recordings are the windows: the fault is in the second and the fifth; the decision of one window must end, too."""
+    found, rng = watch(healthy_coil, Rule()), np.random.default_rng(7)
+    for number, size in enumerate((0.0, 0.5, 0.0, 0.0, 0.5, 0.0)):
+        found.add(replace(coil.experiment(coil.record(coil.R, size, rng)), name=f"r{number}"))
+    for alarm, first in zip(found.alarms, (1, 4), strict=True):
+        assert (alarm.fault, alarm.record, alarm.first, alarm.last) == ("turns", f"r{first}", first, first)
+        assert alarm.onset is not None and alarm.onset.last.record == f"r{first}"
+        assert alarm.ended is not None and alarm.ended.record == f"r{first + 1}"
+        (change,) = alarm.explanations[0].changes
+        assert abs(change.value - 0.5) < 3 * change.std
+
+
 def test_a_sound_machine(healthy_coil: fmuid.Result) -> None:
     found = watched(healthy_coil, warming(40, to=4.8, seed=2))
     assert told(found) == "NO ALARM in 40 windows at 1 % false-alarm rate per recording."
