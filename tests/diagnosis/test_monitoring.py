@@ -76,7 +76,7 @@ def test_a_fault_is_found_and_a_warm_winding_is_none(healthy_coil: fmuid.Result)
 
 
 def test_a_fault_of_one_recording_ends_with_it(healthy_coil: fmuid.Result) -> None:
-    """Recordings are the windows: the fault is in the second and the fifth; the decision of one window must end, too."""
+    """Recordings are the windows: the fault is in the second and the fifth; an alarm of one window ends, too."""
     found, rng = watch(healthy_coil, Rule()), np.random.default_rng(7)
     for number, size in enumerate((0.0, 0.5, 0.0, 0.0, 0.5, 0.0)):
         found.add(replace(coil.experiment(coil.record(coil.R, size, rng)), name=f"r{number}"))
