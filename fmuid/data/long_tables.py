@@ -59,8 +59,8 @@ def with_columns_of_signals(raw: RawTable, time: str, source: str) -> RawTable:
         columns[name] = _numbers(part[values]).reset_index(drop=True)
         clocks |= {} if together else {name: clock}
         said |= {clock: said[time]} if time in said else {}
-        unit = raw.units.get(values) if units is None else part[units].dropna().astype(str).unique()
-        said |= {name: str(unit[0] if units else unit)} if unit is not None and len(unit) == 1 else {}
+        unit = raw.units.get(values, "") if units is None else _units_in(part[units])
+        said |= {name: unit} if unit else {}
     return replace(raw, frame=pd.DataFrame(columns), units=said, time=time, clocks=clocks)
 
 
@@ -72,9 +72,14 @@ def with_units_of_columns(raw: RawTable) -> RawTable:
         words = re.findall(r"[^\W\d_]+", after.lower())
         if name in raw.units or not words or words[-1] not in _UNITS:
             continue
-        units = raw.frame[after].dropna().unique()
-        said |= {name: str(units[0])} if len(units) == 1 and is_unit(str(units[0])) else {}
+        unit = _units_in(raw.frame[after])
+        said |= {name: unit} if unit and all(map(is_unit, unit.split(" or "))) else {}
     return replace(raw, units=raw.units | said)
+
+
+def _units_in(cells: pd.Series[Any]) -> str:
+    """Return the unit of all cells; several are no unit, and refused where they are used."""
+    return " or ".join(cells.dropna().astype(str).str.strip().unique())
 
 
 def _roles(raw: RawTable) -> tuple[str | None, ...]:

@@ -139,6 +139,11 @@ def test_signals_of_several_devices_are_refused(tmp_path: Path) -> None:
         read_data(written(tmp_path, f"time,host,name,value\n{rows}"))
 
 
+@pytest.mark.parametrize("text", ["time,i,i unit\n0,1,A\n1,500,mA\n", "time,name,value,unit\n0,i,1,A\n1,i,500,mA\n"])
+def test_several_units_of_a_column_are_no_unit(tmp_path: Path, text: str) -> None:
+    assert read_data(written(tmp_path, text)).attrs["units"] == {"i": "A or mA"}
+
+
 def test_dates_in_columns_of_their_parts(tmp_path: Path) -> None:
     rows = "".join(f"2026,2,28,23,{k},30,{k}\n" for k in (58, 59)) + "2026,3,1,0,0,30,1\n"
     frame = read_data(written(tmp_path, f"Year,Month,Day,Hour,Minute,Second,u\n{rows}"))
