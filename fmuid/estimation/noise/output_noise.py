@@ -1,7 +1,9 @@
 """OutputNoise: lines, color and tails of a residual.
 
 Whitened innovations e are limited to ψ(e) = max(−c, min(e, c)) (Huber, Annals of Mathematical Statistics 35, 1964).
-With K = J E ψ'/√E ψ² and ε = ψ(e)/√E ψ² the information is KᵀK and the score Kᵀε, as for normal noise.
+With K = J E ψ'/√E ψ² and ε = ψ(e)/√E ψ² the information is KᵀK and the score Kᵀε, as for normal noise. Innovations are
+limited beside their least-squares fit f by the columns, ψ(e − f) + f E ψ', as one step from it (P. J. Bickel, J. Am.
+Stat. Assoc. 70, 1975): far from a point all of them would be at the limit.
 """
 
 from __future__ import annotations
@@ -101,8 +103,16 @@ class OutputNoise:
         """Return innovations (n, 1 + N) of a residual and columns; lines are fitted anew between borders (rows)."""
         model = NoiseModel(series, self.process)
         found = _without(series, self.lines, columns, borders, model)
-        residual = np.clip(found[:, :1], -self.limit, self.limit)
-        return np.hstack([residual, self.slope * found[:, 1:]]) / math.sqrt(self.power)
+        residual, columns = found[:, 0], found[:, 1:]
+        fitted = np.zeros_like(residual)
+        if math.isfinite(self.limit) and columns.size:
+            size = np.linalg.norm(columns, axis=0)
+            scaled = columns / np.where(size > 0, size, 1.0)
+            for first, last in pairwise(borders or (0, len(residual))):
+                part = scaled[first:last]
+                fitted[first:last] = part @ np.linalg.lstsq(part, residual[first:last], rcond=None)[0]
+        residual = np.clip(residual - fitted, -self.limit, self.limit) + self.slope * fitted
+        return np.column_stack([residual, self.slope * columns]) / math.sqrt(self.power)
 
 
 def output_noise(
