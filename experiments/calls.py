@@ -150,7 +150,7 @@ class Campaign:
             self._of(case, at).over(noisy(clean, rng, setting.noise, colour, share))
             for at, clean in enumerate(setting.records(case, rng))
         )
-        whitening = whitening_of([healthy], setting.coordinates.healthy, setting.coordinates.normal)
+        whitening = whitening_of([healthy], [setting.coordinates.healthy], setting.coordinates.normal)
         shown = shown_by([healthy], whitening, setting.coordinates)
         known = BaselineStatistics.of(shown, setting.coordinates, setting.drift)
         return examine([new], known, setting.coordinates, LEVEL)

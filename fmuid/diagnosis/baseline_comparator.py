@@ -12,7 +12,7 @@ from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
 from fmuid.data import Experiment
 from fmuid.diagnosis.baseline import Baseline, BaselineSource, MachineDigest, StoredBaseline, digest_of_record
-from fmuid.diagnosis.baseline_statistics import BaselineStatistics, shown_by
+from fmuid.diagnosis.baseline_statistics import BaselineStatistics, own_point, shown_by
 from fmuid.diagnosis.cause_analysis import error_of
 from fmuid.diagnosis.causes import SETTINGS as CAUSES
 from fmuid.diagnosis.causes import Causes, ChangeParameterSet, SignalScale, coordinates_of
@@ -88,7 +88,10 @@ class BaselineComparator:
         elif known is not None and known.path is not None:
             basis = BaselineSource.DAMAGED
         records = [self.machine(each) for each in baseline.records]
-        whitening = whitening_of(records, coordinates.healthy, coordinates.normal, None if given is None else variance)
+        variances = None if given is None else variance
+        whitening = whitening_of(records, [coordinates.healthy] * len(records), coordinates.normal, variances)
+        points = [own_point(each, whitening, coordinates) for each in records]  # what is nonlinear is no noise
+        whitening = whitening_of(records, points, coordinates.normal, variances)
         return basis, replace(shown_by(records, whitening, coordinates), subject=asked)
 
     def model_error(self, stated: float, level: float) -> float:
@@ -192,11 +195,14 @@ def _of_result(baseline: Baseline, coordinates: ChangeParameterSet) -> tuple[Cha
 
 
 def whitening_of(
-    records: Sequence[LinearizedMachine], point: Floats, width: Floats, variances: Mapping[str, float] | None = None
+    records: Sequence[LinearizedMachine],
+    points: Sequence[Floats],
+    width: Floats,
+    variances: Mapping[str, float] | None = None,
 ) -> Whitening:
     """Return the noise of records beside coordinates that may be off; given variances stay."""
     residuals = []
-    for record in records:
+    for record, point in zip(records, points, strict=True):
         experiment, (outputs, columns) = record.experiment, record.linearize(point)
         rest, there = residual_of(experiment, outputs), experiment.counted
         # held by springs of its width in units of the residual itself

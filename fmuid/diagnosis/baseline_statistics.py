@@ -11,6 +11,7 @@ import numpy as np
 from fmuid.array_types import Floats
 from fmuid.data import Experiment
 from fmuid.diagnosis.baseline import BaselineSource, StoredBaseline
+from fmuid.diagnosis.causes import SETTINGS as CAUSES
 from fmuid.diagnosis.causes import CauseKind, ChangeParameterSet, line_scale
 from fmuid.diagnosis.information_matrix import ChangePrior, InformationMatrix, Whitening
 from fmuid.diagnosis.linearized_machine import LinearizedMachine, residual_and_columns
@@ -62,21 +63,43 @@ def _population(
 def shown_by(
     records: Sequence[LinearizedMachine], whitening: Whitening, coordinates: ChangeParameterSet
 ) -> StoredBaseline:
-    """Return the sums of healthy records, at least one."""
+    """Return the sums of healthy records, each linearized at its own estimate."""
     said, ratios = list[InformationMatrix](), list[NoiseRatios]()
-    for machine in records:
-        columns = residual_and_columns(machine, coordinates.healthy)
+    places = [own_point(machine, whitening, coordinates) for machine in records]
+    for machine, place in zip(records, places, strict=True):
+        columns, off = residual_and_columns(machine, place), place - coordinates.healthy
         white = {name: values for name, _, values in whitening.of_outputs(machine.experiment, columns)}
         every = np.vstack(list(white.values()))
-        said.append(InformationMatrix.of(every[:, 1:], every[:, 0]))
-        along = np.concatenate([[1.0], -ChangePrior.after(said[-1], coordinates.normal).mean])
+        said.append(InformationMatrix.of(every[:, 1:], every[:, 0] + every[:, 1:] @ off))
+        along = np.concatenate([[1.0], off - ChangePrior.after(said[-1], coordinates.normal).mean])
         ratios.append(NoiseRatios.of({name: values @ along for name, values in white.items()}, whitening))
-    parts = tuple(structure_of([machine], whitening, coordinates.healthy) for machine in records)
+    parts = tuple(structure_of([each], whitening, place) for each, place in zip(records, places, strict=True))
     samples = sum(int(np.count_nonzero(machine.experiment.counted)) for machine in records)
     structure = HealthyStructure(_groups(records[0].experiment, coordinates), parts, samples)
     points = OperatingPoints.of([machine.experiment for machine in records])
     lines = line_scale(records[0].experiment)
     return StoredBaseline(tuple(said), structure, NoiseRatios.of_records(ratios), points, whitening, lines)
+
+
+def own_point(machine: LinearizedMachine, whitening: Whitening, coordinates: ChangeParameterSet) -> Floats:
+    """Return the estimate (N,) of a healthy record alone."""
+    point = coordinates.healthy
+    for _ in range(CAUSES.null_steps):
+        said = information_of(machine, whitening, point, coordinates.healthy)
+        target = coordinates.healthy + ChangePrior.after(said, coordinates.normal).mean
+        target = coordinates.without_faults(target)
+        if said.curvature(target - point, coordinates.magnitude) < CAUSES.close:
+            break
+        point = coordinates.toward(point, target)
+    return point
+
+
+def information_of(
+    machine: LinearizedMachine, whitening: Whitening, point: Floats, healthy: Floats
+) -> InformationMatrix:
+    """Return a record's information at a point, relative to healthy coordinates."""
+    white = whitening(machine.experiment, residual_and_columns(machine, point))
+    return InformationMatrix.of(white[:, 1:], white[:, 0] + white[:, 1:] @ (point - healthy))
 
 
 def _groups(experiment: Experiment, coordinates: ChangeParameterSet) -> dict[str, tuple[int, ...]]:

@@ -10,10 +10,11 @@ from functools import cached_property
 import numpy as np
 
 from fmuid.array_types import Floats
-from fmuid.diagnosis.baseline_statistics import BaselineStatistics, structure_of
+from fmuid.diagnosis.baseline_statistics import BaselineStatistics, information_of, structure_of
 from fmuid.diagnosis.cause_ranking import SETTINGS as CAUSE_RANKING
 from fmuid.diagnosis.cause_ranking import CauseRanking, CauseSet, estimate_sizes, log_odds, name
 from fmuid.diagnosis.cause_results import ChangeEvidence, explanations, score
+from fmuid.diagnosis.causes import SETTINGS as CAUSES
 from fmuid.diagnosis.causes import Cause, CauseKind, ChangeParameterSet
 from fmuid.diagnosis.change_detection import MinPDistribution, fit
 from fmuid.diagnosis.information_matrix import (
@@ -38,8 +39,6 @@ from fmuid.errors import SimulationError
 class AnalysisSettings:
     """Numbers of the analysis."""
 
-    null_steps: int = 2  # linearizations at the estimate without causes, ...
-    close: float = 0.03  # ... until the error of the linear model is below this, in standard deviations
     name_steps: int = 10  # linearizations at sizes of causes
     noise_steps: int = 3  # examinations beside larger noise, of which limited innovations show a part
     settled: float = 0.1  # standard deviations; sizes that move by less have settled
@@ -106,9 +105,9 @@ def _examined(work: _CauseAnalyzer) -> Examination:
     """Return the changes in records beside some noise."""
     coordinates, level, model_error = work.coordinates, work.level, work.model_error
     at = work.at(coordinates.healthy)
-    for _ in range(SETTINGS.null_steps):
+    for _ in range(CAUSES.null_steps):
         target = work.sound_point(at)
-        if at.said.curvature(target - at.point, coordinates.magnitude) < SETTINGS.close:
+        if at.said.curvature(target - at.point, coordinates.magnitude) < CAUSES.close:
             break
         at = work.at(coordinates.toward(at.point, target))
     chance, null, steady = MinPDistribution.of(at.news, at.causes), at, True
@@ -198,7 +197,7 @@ class _CauseAnalyzer:
     def at(self, point: Floats) -> Linearization:
         """Return the statistics of the records, linearized at a point (N,)."""
         whitening, healthy = self.whitening, self.coordinates.healthy
-        first, *others = (_information(machine, whitening, point, healthy) for machine in self.machines)
+        first, *others = (information_of(machine, whitening, point, healthy) for machine in self.machines)
         said = sum(others, start=first)
         raw = ScoreStatistics.of(said, self.at_details(point))
         news = self.judged(raw)
@@ -329,9 +328,3 @@ class _OwnPoint:
         """Return the log evidence of the causes, divided for the models' error."""
         whole = self.whole.tempered(temper)
         return log_odds(whole, list(self.bases.values())) - 0.5 * whole.squares
-
-
-def _information(machine: LinearizedMachine, whitening: Whitening, point: Floats, healthy: Floats) -> InformationMatrix:
-    """Return a record's information at a point, relative to healthy coordinates."""
-    white = whitening(machine.experiment, residual_and_columns(machine, point))
-    return InformationMatrix.of(white[:, 1:], white[:, 0] + white[:, 1:] @ (point - healthy))

@@ -32,7 +32,9 @@ class CauseSettings:
     scatter_share: float = 0.02  # of healthy_std, between operating points before any healthy record ...
     parameter_scatter: float = 2e-3  # ... of a healthy parameter, as a share of its magnitude
     open: float = 1e3  # magnitudes of a healthy parameter before any record: any record tells more
-    farthest: float = 0.3  # magnitudes of a coordinate in one step of the linearization, but for faults
+    null_steps: int = 2  # linearizations at the estimate without causes, ...
+    close: float = 0.03  # ... until the error of the linear model is below this, in standard deviations
+    farthest: float = 0.3  # magnitudes of a coordinate in one of them, but for faults
 
 
 SETTINGS = CauseSettings()

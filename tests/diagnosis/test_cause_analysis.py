@@ -16,7 +16,9 @@ import fmuid
 from fmuid import InputError
 from fmuid.apps.cli.app import run
 from fmuid.diagnosis import MODEL_ERROR, CauseKind, Causes, CauseScale, ChangeEvidence
+from fmuid.diagnosis.baseline_statistics import shown_by
 from fmuid.diagnosis.causes import ChangeParameterSet, SignalScale, coordinates_of
+from fmuid.diagnosis.information_matrix import ChangePrior, Whitening
 from fmuid.diagnosis.linearized_machine import LinearizedMachine
 from fmuid.reports.topics.diagnosis import verdict
 from tests.support.closed_forms import coil_response
@@ -109,6 +111,15 @@ def test_a_step_of_the_linearization_is_short_but_for_faults(coordinates: Change
     np.testing.assert_array_equal(coordinates.toward(start, start + 5.0 * turns), start + 5.0 * turns)
     found = coordinates.toward(start, start + 5.0 * turns - 0.1 * none)
     np.testing.assert_allclose(found, start + 0.3 * (5.0 * turns - 0.1 * none))
+
+
+def test_a_healthy_record_is_linearized_at_its_own_estimate(
+    coil: fmuid.System, coordinates: ChangeParameterSet
+) -> None:
+    """A warm winding: from the healthy machine alone the resistance is wrong by its own tenth."""
+    machine = LinearizedMachine(coil, {}, coordinates, experiment(current(R=1.2)))
+    (said,) = shown_by([machine], Whitening.white({"i": NOISE**2}), coordinates).said
+    assert ChangePrior.after(said, coordinates.normal).mean[0] == pytest.approx(1.2, abs=0.01)
 
 
 @pytest.fixture(scope="module")

@@ -98,7 +98,7 @@ def known(motor: fmuid.System, count: int, number: int) -> tuple[fmuid.Baseline,
 # change, and the label that must stand first; "" where none fits: then no fault alone
 CHANGES: dict[str, tuple[dict[str, float], str]] = {
     "healthy": ({}, ""),
-    "gain w -3 %": ({"gain w": -0.03}, "gain(w)"),
+    "gain w -10 %": ({"gain w": -0.1}, "gain(w)"),
     "gain i -20 %": ({"gain i": -0.2}, "gain(i)"),
     "delay i, a sample": ({"delay i": STEP}, "delay(i)"),
     "delay w, a sample": ({"delay w": STEP}, "delay(w)"),

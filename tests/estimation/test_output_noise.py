@@ -71,6 +71,21 @@ def test_heavy_tails_are_limited(share: float) -> None:
     assert information > 1.2 * normal
 
 
+def test_a_far_point_is_left_in_one_step() -> None:
+    """Fifty deviations from the estimate all innovations were at the limit, and a step was one deviation."""
+    rng = np.random.default_rng(16)
+    found = noise_of(stats.t.rvs(3, size=COUNT, random_state=rng))
+    (series,) = fmuid.estimation.output_series(
+        [fmuid.Experiment(pd.DataFrame({"time": TIME, "u": 0.0, "y": 0.0}), ["u"], ["y"])], ["y"]
+    )
+    column = np.sin(0.01 * np.arange(COUNT))
+    off = np.column_stack([50.0 * column + stats.t.rvs(3, size=COUNT, random_state=rng), column])
+    white = found.whiten(series, off)
+    information = float(white[:, 1] @ white[:, 1])
+    assert math.isfinite(found.limit)
+    assert white[:, 1] @ white[:, 0] / information == pytest.approx(50.0, abs=4.0 / math.sqrt(information))
+
+
 def test_normal_noise_is_whitened_only() -> None:
     found = noise_of(np.random.default_rng(7).standard_normal(COUNT))
     assert (found.limit, found.slope, found.power) == (math.inf, 1.0, 1.0)
