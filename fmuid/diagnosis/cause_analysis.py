@@ -71,6 +71,7 @@ class Examination:
     estimate: ChangePrior  # all coordinates relative to the healthy ones, beside the named causes
     residuals: tuple[Floats, Floats]  # (K, n_outputs) of the first record, without and with the named causes
     white: Mapping[str, Floats]  # (n,) by output, of all records, whitened, with the named causes
+    limit: float  # of the smallest probability, at the level
 
 
 def examine(
@@ -135,7 +136,9 @@ def _examined(work: _CauseAnalyzer) -> Examination:
     first = work.machines[0]
     residuals = [residual_of(first.experiment, first.outputs(point)) for point in (null.point, at.point)]
     estimate = work.estimate(at, naming)
-    return Examination(coordinates, evidence, naming, at, estimate, (residuals[0], residuals[1]), white)
+    return Examination(
+        coordinates, evidence, naming, at, estimate, (residuals[0], residuals[1]), white, chance.limit(level)
+    )
 
 
 def error_of(

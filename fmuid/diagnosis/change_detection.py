@@ -172,7 +172,8 @@ def detectable(news: ScoreStatistics, cause: Cause, limit: float, miss: float) -
     information, _ = news.part(cause.columns)
     std = 1.0 / math.sqrt(float(np.linalg.eigvalsh(information)[0]))  # the direction that shows least
     if len(cause.columns) > 1:
-        threshold = float(special.chdtri(len(cause.columns), limit))
+        count, freedom = len(cause.columns), min(news.freedom_of(cause.columns), 1e7)
+        threshold = count * float(special.fdtri(count, freedom, 1.0 - limit))
         return math.sqrt(float(special.chndtrinc(threshold, len(cause.columns), miss))) * std
-    threshold = -float(special.ndtri(limit if cause.sign else limit / 2.0))
-    return (threshold - float(special.ndtri(miss))) * std
+    freedom = min(news.freedom_of(cause.columns), 1e7)
+    return -float(special.stdtrit(freedom, limit if cause.sign else limit / 2.0) + special.stdtrit(freedom, miss)) * std

@@ -20,12 +20,10 @@ from fmuid.diagnosis.change_detection import MinPDistribution, detectable
 from fmuid.diagnosis.diagnose import DiagnosisSettings
 from fmuid.diagnosis.faults import Fault, checked_faults
 from fmuid.diagnosis.information_matrix import ChangePrior, InformationMatrix, ScoreStatistics, is_determined
+from fmuid.diagnosis.rule import MISS_PROBABILITY
 from fmuid.errors import InputError
 from fmuid.estimation import Result
 from fmuid.models import FMU, System
-
-# Default probability of no alarm with a fault of the size.
-MISS_PROBABILITY = 0.05
 
 
 @dataclass(frozen=True)

@@ -21,10 +21,11 @@ from fmuid.diagnosis.cause_analysis import Examination, examine
 from fmuid.diagnosis.cause_ranking import SETTINGS as CAUSE_RANKING
 from fmuid.diagnosis.cause_results import ChangeEvidence, EstimatedChange, Explanation
 from fmuid.diagnosis.causes import CauseKind, Causes
+from fmuid.diagnosis.change_detection import detectable
 from fmuid.diagnosis.diagnosis_result import BaselineDeviation, Diagnosis
 from fmuid.diagnosis.faults import VARIANT, Fault, checked_faults, with_variants
 from fmuid.diagnosis.linearized_machine import LinearizedMachine
-from fmuid.diagnosis.rule import FALSE_ALARM_LEVEL, MODEL_ERROR
+from fmuid.diagnosis.rule import FALSE_ALARM_LEVEL, MISS_PROBABILITY, MODEL_ERROR
 from fmuid.diagnosis.unexplained_residual import VarianceRatio
 from fmuid.errors import InputError
 from fmuid.estimation import SENSITIVITIES, Marquardt, Result, check_level
@@ -149,7 +150,19 @@ def diagnose(
         residuals=_residuals(listed[0], found) if evidence.explanations else None,
         mismatched=_mismatched(machines, made),
         coverage=None if points is None else points.coverage(listed),
+        detectable=_detectable(found),
     )
+
+
+def _detectable(found: Examination) -> dict[str, float]:
+    """Return the size of each fault that such a record shows; of its details the worst."""
+    sizes: dict[str, float] = {}
+    for cause in found.at.causes:
+        of = found.coordinates.each[cause.columns[0]]
+        if of.kind is CauseKind.FAULT:
+            size = detectable(found.at.news, cause, found.limit, MISS_PROBABILITY)
+            sizes[of.name] = max(size, sizes.get(of.name, 0.0))
+    return sizes
 
 
 def _mismatched(machines: Sequence[LinearizedMachine], made: BaselineComparator) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -66,6 +66,8 @@ class Diagnosis(PlotMixin):
         Faults whose models without their fault are not the healthy machine.
     coverage : Coverage or None
         Operating points of the healthy records; None of a result alone.
+    detectable : dict of str to float
+        Size of each fault that shows in 95 % of such records, by ``turns.dR``.
     residuals : DataFrame or None
         Of the first experiment, ``healthy.`` and ``fault.`` before each output; not kept in a file.
 
@@ -91,6 +93,7 @@ class Diagnosis(PlotMixin):
     mismatched: tuple[str, ...] = ()
     residuals: pd.DataFrame | None = None
     coverage: Coverage | None = None
+    detectable: Mapping[str, float] = field(default_factory=dict)
 
     json_layout: ClassVar = codec.Layout(omitted={"result", "residuals"}, derived=("kind", "named"))
 

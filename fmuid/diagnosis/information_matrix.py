@@ -160,15 +160,19 @@ class ScoreStatistics:
         return replace(self, information=information, score=score, squares=squares)
 
     def tail(self, statistic: float, columns: Sequence[int]) -> float:
-        """Return the probability of a larger statistic of some coordinates by chance: χ², or F (Satterthwaite)."""
-        count, freedom = len(columns), math.inf
-        if self.excess is not None:
-            along, (own, _) = self.information[:, list(columns)], self.part(columns)
-            share = float(np.trace(np.linalg.solve(own, along.T @ self.excess @ along))) / count
-            freedom = self.freedom / max(share, 1e-3) ** 2
+        """Return the probability of a larger statistic of some coordinates by chance: χ², or F."""
+        count, freedom = len(columns), self.freedom_of(columns)
         if freedom > 1e7:
             return float(special.chdtrc(count, statistic))
         return float(special.fdtrc(count, freedom, statistic / count))
+
+    def freedom_of(self, columns: Sequence[int]) -> float:
+        """Return the degrees of freedom of the variance of some coordinates (Satterthwaite)."""
+        if self.excess is None:
+            return math.inf
+        along, (own, _) = self.information[:, list(columns)], self.part(columns)
+        share = float(np.trace(np.linalg.solve(own, along.T @ self.excess @ along))) / len(columns)
+        return self.freedom / max(share, 1e-3) ** 2
 
     def part(self, columns: Sequence[int]) -> tuple[Floats, Floats]:
         """Return information and score of some coordinates, the others unchanged."""

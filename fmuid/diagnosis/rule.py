@@ -14,6 +14,8 @@ from fmuid.estimation import check_level
 
 # Of calling a fault where there is none, unless said otherwise: one check in a hundred, the habit of the field.
 FALSE_ALARM_LEVEL = 0.01
+# Of no alarm with a fault of the detectable size.
+MISS_PROBABILITY = 0.05
 # How much of its effect a fault model has wrong along any other cause's signature, where no trials tell.
 MODEL_ERROR = 0.05
 

@@ -102,3 +102,24 @@ def test_diagnosis_at_operating_points(count: int, always: dict[str, float]) -> 
     assert changed["healthy"] <= (8 if always else 6)
     assert max(alone["gain -20 %"], alone["offset"], alone["delay 1 ms"]) <= 2
     assert min(first["turns 1 Ohm"], first["offset"], first["delay 1 ms"]) >= 190
+
+
+@pytest.mark.parametrize(
+    ("draws", "least"),
+    [pytest.param(4, 3, marks=pytest.mark.slow), pytest.param(200, 180, marks=pytest.mark.campaign)],
+    ids=["few", "all"],
+)
+def test_a_fault_shows_from_the_size_that_a_healthy_record_promises(draws: int, least: int) -> None:
+    """95 % of records, ten healthy ones; 180 of 200 are exceeded by 99.8 % of campaigns at 95 %."""
+    rng = np.random.default_rng([61, 0])
+    records = [operated(rng) for _ in range(10)]
+    parameters = {"R": fmuid.Parameter(3.0, min=0.0), "L": fmuid.Parameter(0.2, min=1e-4)}
+    result = fmuid.identify(fmuid.Problem(coil.models()[0], records[0], parameters))
+    turns = fmuid.Fault(coil.models()[1], {"dR": fmuid.Parameter(0.0, nominal=1.0)}, values={"tau": L / R})
+    healthy, shown = fmuid.Baseline(result, {"R": 10.0}, records=records), 0
+    for draw in range(draws):
+        sound = fmuid.diagnose(operated(np.random.default_rng([62, draw])), healthy, {"turns": turns}, coil.models()[0])
+        faulty = operated(np.random.default_rng([62, draw]), turns=sound.detectable["turns.dR"])
+        shown += fmuid.diagnose(faulty, healthy, {"turns": turns}, coil.models()[0]).kind != "healthy"
+    print(f"{shown} of {draws} faults of the promised size show")
+    assert shown >= least

@@ -88,6 +88,10 @@ class DiagnosisMessage(Message, section="causes"):
         "smaller faults remain possible: see `fmuid design`",
     )
     PARTLY = doubt("The causes explain {share:.0%} of the change; their sizes are approximate.")
+    SHOWS = plain(
+        "A fault would show from {sizes} (95 % of such records).",
+        "a smaller one may be there: record longer, or with more excitation",
+    )
     CHECK = plain("Check first: {what}.", "what most often causes such a change")
     COVERED = plain("Healthy records: {count}; {ranges}.", "mean and rms values of the inputs")
     OUTSIDE = doubt(
@@ -178,7 +182,7 @@ def verdict(found: Diagnosis) -> Remark:
 def diagnosis_notes(found: Diagnosis) -> list[Remark]:
     """Return the notes beside the verdict."""
     evidence = found.evidence
-    notes = [*check_first(found), *coverage_notes(found), *deviation_notes(found.deviation)]
+    notes = [*exposure_notes(found), *check_first(found), *coverage_notes(found), *deviation_notes(found.deviation)]
     notes += solver_remarks(found.fitted, found.accuracy)
     notes += [DiagnosisMessage.MISMATCHED.said("changes", name=name) for name in found.mismatched]
     if evidence.alarm and found.is_partial and found.kind != "unexplained":
@@ -189,6 +193,15 @@ def diagnosis_notes(found: Diagnosis) -> list[Remark]:
     if evidence.alarm and not evidence.steady:
         notes.append(DiagnosisMessage.UNSTEADY.said())
     return notes
+
+
+def exposure_notes(found: Diagnosis) -> list[Remark]:
+    """Return the sizes from which faults would show, where none does."""
+    if found.kind not in ("healthy", "undecided") or not found.detectable:
+        return []
+    each = [(found[name], size) for name, size in found.detectable.items()]
+    sizes = [f"{change_name(one)} {size:.2g} {one.unit if has_unit(one.unit) else ''}".strip() for one, size in each]
+    return [DiagnosisMessage.SHOWS.said("changes", sizes=listed(sizes))]
 
 
 CHECKS = {
