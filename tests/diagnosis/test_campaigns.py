@@ -110,7 +110,7 @@ def test_diagnosis_at_operating_points(count: int, always: dict[str, float]) -> 
     ids=["few", "all"],
 )
 def test_a_fault_shows_from_the_size_that_a_healthy_record_promises(draws: int, least: int) -> None:
-    """95 % of records, ten healthy ones; 180 of 200 are exceeded by 99.8 % of campaigns at 95 %."""
+    """95 % of records beside ten healthy ones; fewer than 180 of 200 come by chance in one of a thousand campaigns."""
     rng = np.random.default_rng([61, 0])
     records = [operated(rng) for _ in range(10)]
     parameters = {"R": fmuid.Parameter(3.0, min=0.0), "L": fmuid.Parameter(0.2, min=1e-4)}

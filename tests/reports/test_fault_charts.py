@@ -105,7 +105,7 @@ def test_diagnosis_verdict(
     evidence = replace(news, explanations=news.explanations[:explanations], basis=basis, alarm=alarm, steady=False)
     left = SimpleNamespace(ratio=1.9, probability=1e-3)
     found: Any = SimpleNamespace(kind=kind, evidence=evidence, unexplained=left, level=0.01, undetermined=("turns.dR",))
-    found.is_partial = True
+    found.is_partial, found.detectable = True, {}
     found.coverage = Coverage(1, {"rms(u)": (1.0, 2.0)}, ())
     assert diagnosis.verdict(found).text.startswith(said)
     found.deviation, found.fitted, found.accuracy, found.mismatched = None, (), None, ("turns",)
