@@ -8,6 +8,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
@@ -19,7 +20,6 @@ from fmuid.data import Experiment, Noise, Parameter, read_arrays, write_arrays
 from fmuid.diagnosis.causes import ChangeParameterSet, name_of
 from fmuid.diagnosis.faults import VARIANT, common_mode
 from fmuid.diagnosis.information_matrix import InformationMatrix, Whitening
-from fmuid.diagnosis.noise_ratios import NoiseRatios
 from fmuid.diagnosis.operating_points import OperatingPoints
 from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUAL
 from fmuid.diagnosis.unexplained_residual import HealthyStructure
@@ -105,22 +105,26 @@ class MachineDigest:
         at = self._places(asked)
         if at == list(range(len(self.coordinates))):
             return shown
-        said = tuple(InformationMatrix(each.matrix[np.ix_(at, at)], each.score[at]) for each in shown.said)
-        return replace(shown, said=said)
+        return replace(shown, outputs=[[one.among(at) for one in each] for each in shown.outputs])
 
 
 @dataclass(frozen=True, eq=False)
 class StoredBaseline:
     """Sums of healthy records, kept in ``baseline.npz``."""
 
-    said: tuple[InformationMatrix, ...]  # of each record, on all coordinates and relative to the healthy ones
+    outputs: Sequence[Sequence[InformationMatrix]]  # by record and output, relative to the healthy coordinates
+    samples: Floats  # (K, n_outputs)
     structure: HealthyStructure
-    noise: NoiseRatios
     points: OperatingPoints
     whitening: Whitening
     lines: tuple[float, float]  # rms voltage and current of lines
     subject: MachineDigest | None = None
     path: Path | None = None  # the file that it was read from
+
+    @cached_property
+    def said(self) -> tuple[InformationMatrix, ...]:
+        """Information of each record."""
+        return tuple(sum(each[1:], start=each[0]) for each in self.outputs)
 
     def extended(self, new: StoredBaseline, digests: Sequence[str]) -> StoredBaseline:
         """Return the baseline with more records, of the same coordinates and noise."""
@@ -132,9 +136,8 @@ class StoredBaseline:
         )
         points = OperatingPoints(self.points.names, np.vstack([self.points.values, new.points.values]))
         subject = replace(self.subject, records=(*self.subject.records, *digests))
-        ratios = NoiseRatios.of_records([self.noise, new.noise])
-        said = (*self.said, *new.said)
-        return StoredBaseline(said, structure, ratios, points, self.whitening, self.lines, subject)
+        outputs, samples = [*self.outputs, *new.outputs], np.vstack([self.samples, new.samples])
+        return StoredBaseline(outputs, samples, structure, points, self.whitening, self.lines, subject)
 
     def write(self, path: Path) -> Path:
         """Write ``baseline.npz`` and return its path."""
@@ -144,12 +147,12 @@ class StoredBaseline:
         text = as_json(_Description(*what))
         arrays = {
             "text": np.frombuffer(json.dumps(text).encode(), np.uint8),
-            "matrices": np.array([each.matrix for each in self.said]),
-            "scores": np.array([each.score for each in self.said]),
+            "matrices": np.array([[one.matrix for one in each] for each in self.outputs]),
+            "scores": np.array([[one.score for one in each] for each in self.outputs]),
+            "squares": np.array([[one.squares for one in each] for each in self.outputs]),
+            "samples": self.samples,
             "structure": np.array([each.matrix for each in self.structure.records]),
             "structure_scores": np.array([each.score for each in self.structure.records]),
-            "noise": self.noise.ratios,
-            "noise_samples": self.noise.samples,
             "points": self.points.values,
         }
         return write_arrays(path, arrays)
@@ -160,17 +163,18 @@ class StoredBaseline:
         try:
             sums = read_arrays(path)
             text = from_json(_Description, json.loads(sums.pop("text").tobytes()))
-            said = tuple(map(InformationMatrix, sums["matrices"], sums["scores"]))
+            each = zip(sums["matrices"], sums["scores"], sums["squares"].tolist(), strict=True)
+            outputs = [list(map(InformationMatrix, *one)) for one in each]
             parts = tuple(map(InformationMatrix, sums["structure"], sums["structure_scores"]))
             structure = HealthyStructure(text.groups, parts, text.samples)
             points = OperatingPoints(text.points, sums["points"])
-            ratios = NoiseRatios(sums["noise"], sums["noise_samples"])
-            return cls(said, structure, ratios, points, Whitening(text.noise), text.lines, text.of, path)
+            noise = Whitening(text.noise)
+            return cls(outputs, sums["samples"], structure, points, noise, text.lines, text.of, path)
         except (KeyError, ValueError, TypeError) as error:
             if needed:
                 raise InputError(f"{path}: no complete file of fmuid identify ({error}). {REMEDY}") from None
             nothing = np.zeros((0, 0))
-            none = HealthyStructure({}, (), 0), NoiseRatios(nothing, nothing), OperatingPoints((), nothing)
+            none = nothing, HealthyStructure({}, (), 0), OperatingPoints((), nothing)
             return cls((), *none, Whitening({}), (0.0, 0.0), None, path)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -13,7 +14,7 @@ from fmuid.data import Experiment
 from fmuid.diagnosis.baseline import BaselineSource, StoredBaseline
 from fmuid.diagnosis.causes import SETTINGS as CAUSES
 from fmuid.diagnosis.causes import CauseKind, ChangeParameterSet, line_scale
-from fmuid.diagnosis.information_matrix import ChangePrior, InformationMatrix, Whitening
+from fmuid.diagnosis.information_matrix import ChangePrior, InformationMatrix, ScoreStatistics, Whitening
 from fmuid.diagnosis.linearized_machine import LinearizedMachine, residual_and_columns
 from fmuid.diagnosis.noise_ratios import NoiseRatios
 from fmuid.diagnosis.operating_points import OperatingPoints
@@ -44,41 +45,51 @@ class BaselineStatistics:
         basis: BaselineSource = BaselineSource.RECORDS,
     ) -> BaselineStatistics:
         """Return the statistics of healthy records."""
-        population = _population(
-            shown, *(tuple(each.tolist()) for each in (coordinates.normal, drift, coordinates.scatter))
-        )
-        structure = shown.structure, shown.noise
+        sound = np.isnan(coordinates.without_faults(np.full(drift.size, math.nan)))
+        scales = (coordinates.normal, drift, coordinates.scatter, sound)
+        population, noise = _population(shown, *(tuple(each.tolist()) for each in scales))
+        structure = shown.structure, noise
         return cls(population.known, shown.whitening, drift, *structure, basis, population, shown.points)
 
 
 @lru_cache(maxsize=8)  # for many records of one machine
 def _population(
-    shown: StoredBaseline, normal: tuple[float, ...], drift: tuple[float, ...], scatter: tuple[float, ...]
-) -> Population:
-    """Return the population of a baseline's records, tempered."""
+    shown: StoredBaseline,
+    normal: tuple[float, ...],
+    drift: tuple[float, ...],
+    scatter: tuple[float, ...],
+    sound: tuple[bool, ...],
+) -> tuple[Population, NoiseRatios]:
+    """Return the population of a baseline's records, tempered, and the noise of each beside the others."""
     scales = Scales(np.array(normal), np.array(drift), np.array(scatter))
-    return tempered(Population.of(shown.said, scales), shown.said, scales)
+    population = tempered(Population.of(shown.said, scales), shown.said, scales)
+    squares = []
+    known = population.without_each(shown.said, scales)
+    for record, outputs, beside in zip(shown.said, shown.outputs, known, strict=True):
+        point = np.where(sound, beside.mean + beside.covariance @ ScoreStatistics.of(record, beside).score, 0.0)
+        squares.append([each.squares_at(point) for each in outputs])
+    shares = np.array([noise.share for noise in shown.whitening.models.values()])
+    return population, NoiseRatios(np.array(squares) / shown.samples, shares * shown.samples)
 
 
 def shown_by(
     records: Sequence[LinearizedMachine], whitening: Whitening, coordinates: ChangeParameterSet
 ) -> StoredBaseline:
     """Return the sums of healthy records, each linearized at its own estimate."""
-    said, ratios = list[InformationMatrix](), list[NoiseRatios]()
+    outputs, samples = list[list[InformationMatrix]](), list[list[int]]()
     places = [own_point(machine, whitening, coordinates) for machine in records]
     for machine, place in zip(records, places, strict=True):
         columns, off = residual_and_columns(machine, place), place - coordinates.healthy
-        white = {name: values for name, _, values in whitening.of_outputs(machine.experiment, columns)}
-        every = np.vstack(list(white.values()))
-        said.append(InformationMatrix.of(every[:, 1:], every[:, 0] + every[:, 1:] @ off))
-        along = np.concatenate([[1.0], off - ChangePrior.after(said[-1], coordinates.normal).mean])
-        ratios.append(NoiseRatios.of({name: values @ along for name, values in white.items()}, whitening))
+        found = {name: values for name, _, values in whitening.of_outputs(machine.experiment, columns)}
+        white = [found[name] for name in whitening.models]
+        outputs.append([InformationMatrix.of(each[:, 1:], each[:, 0] + each[:, 1:] @ off) for each in white])
+        samples.append(list(map(len, white)))
     parts = tuple(structure_of([each], whitening, place) for each, place in zip(records, places, strict=True))
-    samples = sum(int(np.count_nonzero(machine.experiment.counted)) for machine in records)
-    structure = HealthyStructure(_groups(records[0].experiment, coordinates), parts, samples)
+    counts = np.array(samples)
+    structure = HealthyStructure(_groups(records[0].experiment, coordinates), parts, int(counts.sum()))
     points = OperatingPoints.of([machine.experiment for machine in records])
     lines = line_scale(records[0].experiment)
-    return StoredBaseline(tuple(said), structure, NoiseRatios.of_records(ratios), points, whitening, lines)
+    return StoredBaseline(outputs, counts, structure, points, whitening, lines)
 
 
 def own_point(machine: LinearizedMachine, whitening: Whitening, coordinates: ChangeParameterSet) -> Floats:

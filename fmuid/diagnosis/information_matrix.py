@@ -94,6 +94,14 @@ class InformationMatrix:
         """Return the information of both records."""
         return InformationMatrix(self.matrix + other.matrix, self.score + other.score, self.squares + other.squares)
 
+    def among(self, at: Sequence[int]) -> InformationMatrix:
+        """Return the information on some coordinates; the others are zero."""
+        return InformationMatrix(self.matrix[np.ix_(at, at)], self.score[list(at)], self.squares)
+
+    def squares_at(self, point: Floats) -> float:
+        """Return the sum of squares of the residual at a point (N,)."""
+        return max(0.0, float(self.squares - 2.0 * point @ self.score + point @ self.matrix @ point))
+
     def distance(self, off: Floats) -> float:
         """Return the effect of a move (N,), in standard deviations."""
         return math.sqrt(max(0.0, float(off @ self.matrix @ off)))

@@ -7,7 +7,7 @@ is learned as that of coordinates is: some records of a prior scatter, then t (d
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,11 +35,6 @@ class NoiseRatios:
         found = {output: white.get(output, np.ones(1)) for output in whitening.models}
         samples = [noise.share * len(found[output]) for output, noise in whitening.models.items()]
         return cls(np.array([[np.mean(each**2) for each in found.values()]]), np.array([samples]))
-
-    @classmethod
-    def of_records(cls, each: Sequence[NoiseRatios]) -> NoiseRatios:
-        """Return the ratios of several records."""
-        return cls(np.vstack([one.ratios for one in each]), np.vstack([one.samples for one in each]))
 
     @property
     def pooled(self) -> NoiseRatios:

@@ -6,7 +6,7 @@ with an inverse Wishart prior: ν₀ records of the scatter M₀ (Dempster, Lair
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -61,12 +61,16 @@ class Population:
         self, records: Sequence[InformationMatrix], scales: Scales, test: Callable[[ScoreStatistics], Floats]
     ) -> Floats:
         """Return a test of each record (K, m) against the others."""
-        found = []
-        for k, record in enumerate(records):
+        known = self.without_each(records, scales)
+        return np.array([test(ScoreStatistics.of(*each)) for each in zip(records, known, strict=True)])
+
+    def without_each(self, records: Sequence[InformationMatrix], scales: Scales) -> Iterator[ChangePrior]:
+        """Yield the distribution of each record's coordinates by the others; of few records by all."""
+        for k in range(len(records)):
             others = [*records[:k], *records[k + 1 :]]
-            without = _learned(others, scales, self.scatter, SETTINGS.few)
-            found.append(test(ScoreStatistics.of(record, without.known.drifting(scales.drift))))
-        return np.array(found)
+            few = len(records) <= SETTINGS.least
+            without = self if few else _learned(others, scales, self.scatter, SETTINGS.few)
+            yield without.known.drifting(scales.drift)
 
     def judged(self, news: ScoreStatistics) -> ScoreStatistics:
         """Return statistics tempered, with the freedom of the scatter."""
