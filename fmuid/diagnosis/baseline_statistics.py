@@ -60,7 +60,7 @@ def _population(
     scatter: tuple[float, ...],
     sound: tuple[bool, ...],
 ) -> tuple[Population, NoiseRatios]:
-    """Return the population of a baseline's records, tempered, and the noise of each beside the others."""
+    """Return the population of a baseline's records, and the noise of each."""
     scales = Scales(np.array(normal), np.array(drift), np.array(scatter))
     population = tempered(Population.of(shown.said, scales), shown.said, scales)
     squares = []
