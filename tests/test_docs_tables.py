@@ -35,6 +35,8 @@ VARIANTS: Mapping[str, tuple[str, ...]] = {
     "dates, or times of the day": ("dates", "times of the day"),
     "times that jump back, or are shuffled": ("shuffled",),
     "`w (rpm)`, `ids [mA]`, `U/V`, a row of units below the header": ("w (rpm)", "i [mA]", "u/V", "unit row"),
+    "one signal per row (`VarName;TimeString;VarValue`)": ("WinCC",),
+    "`12.1 V` in cells": ("Tinytag",),
     "missing samples of an output: empty cells, `-`, `NaN`": ("missing: empty", "missing: -", "missing: NaN"),
 }
 """Rows whose files are written and read in `tests.data.test_table_variants`, by the names that they have there."""
