@@ -14,7 +14,7 @@ from fmuid.data import Experiment
 from fmuid.diagnosis.baseline import BaselineSource, StoredBaseline
 from fmuid.diagnosis.causes import SETTINGS as CAUSES
 from fmuid.diagnosis.causes import CauseKind, ChangeParameterSet, line_scale
-from fmuid.diagnosis.information_matrix import ChangePrior, InformationMatrix, ScoreStatistics, Whitening
+from fmuid.diagnosis.information_matrix import ChangePrior, InformationMatrix, Whitening
 from fmuid.diagnosis.linearized_machine import LinearizedMachine, residual_and_columns
 from fmuid.diagnosis.noise_ratios import NoiseRatios
 from fmuid.diagnosis.operating_points import OperatingPoints
@@ -62,11 +62,11 @@ def _population(
 ) -> tuple[Population, NoiseRatios]:
     """Return the population of a baseline's records, and the noise of each."""
     scales = Scales(np.array(normal), np.array(drift), np.array(scatter))
-    population = tempered(Population.of(shown.said, scales), shown.said, scales)
-    squares = []
-    known = population.without_each(shown.said, scales)
-    for record, outputs, beside in zip(shown.said, shown.outputs, known, strict=True):
-        point = np.where(sound, beside.mean + beside.covariance @ ScoreStatistics.of(record, beside).score, 0.0)
+    plain = Population.of(shown.said, scales)
+    others = list(plain.without_each(shown.said, scales))
+    population, squares = tempered(plain, shown.said, others), []
+    for record, outputs, beside in zip(shown.said, shown.outputs, others, strict=True):
+        point = np.where(sound, beside.after_also(record).mean, 0.0)
         squares.append([each.squares_at(point) for each in outputs])
     shares = np.array([noise.share for noise in shown.whitening.models.values()])
     return population, NoiseRatios(np.array(squares) / shown.samples, shares * shown.samples)

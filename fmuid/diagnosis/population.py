@@ -6,7 +6,7 @@ with an inverse Wishart prior: ν₀ records of the scatter M₀ (Dempster, Lair
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -57,13 +57,6 @@ class Population:
         means = np.array([ChangePrior.after(record, scales.normal).mean for record in records])
         return _learned(records, scales, np.diag(scales.scatter**2) + np.cov(means.T), SETTINGS.steps)
 
-    def tested(
-        self, records: Sequence[InformationMatrix], scales: Scales, test: Callable[[ScoreStatistics], Floats]
-    ) -> Floats:
-        """Return a test of each record (K, m) against the others."""
-        known = self.without_each(records, scales)
-        return np.array([test(ScoreStatistics.of(*each)) for each in zip(records, known, strict=True)])
-
     def without_each(self, records: Sequence[InformationMatrix], scales: Scales) -> Iterator[ChangePrior]:
         """Yield the distribution of each record's coordinates by the others; of few records by all."""
         for k in range(len(records)):
@@ -110,8 +103,8 @@ def _learned(records: Sequence[InformationMatrix], scales: Scales, scatter: Floa
     return Population(ChangePrior(mean * unit, (covariance + learned) * both), learned * both, count)
 
 
-def tempered(population: Population, records: Sequence[InformationMatrix], scales: Scales) -> Population:
-    """Return the population with the factor that records against the others show; of fewer than four as it is."""
+def tempered(population: Population, records: Sequence[InformationMatrix], others: Sequence[ChangePrior]) -> Population:
+    """Return the population with the factor that records against the others show; of few as it is."""
     if len(records) <= SETTINGS.least:
         return population
 
@@ -119,4 +112,5 @@ def tempered(population: Population, records: Sequence[InformationMatrix], scale
         own = np.diag(news.information)
         return np.where(own > 0, news.score**2 / np.where(own > 0, own, 1.0), 1.0)
 
-    return replace(population, temper=max(1.0, float(np.mean(population.tested(records, scales, each)))))
+    factors = [each(ScoreStatistics.of(*both)) for both in zip(records, others, strict=True)]
+    return replace(population, temper=max(1.0, float(np.mean(factors))))

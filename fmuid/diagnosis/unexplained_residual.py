@@ -122,7 +122,9 @@ class _Healthy:
         count = len(given.records)
         if count <= POPULATION.least:
             return plain
-        each = plain.population.tested(given.records, scales, lambda news: np.array(plain.statistics(news)))
+        others = plain.population.without_each(given.records, scales)
+        news = map(ScoreStatistics.of, given.records, others)
+        each = np.array([plain.statistics(one) for one in news])
         degrees = np.maximum(each[:, :, 1], 1.0)
         factors = np.maximum(1.0, np.mean(each[:, :, 0] / degrees, axis=0))
         chances = special.chdtrc(degrees, each[:, :, 0] / factors).min(axis=1) * each.shape[1]

@@ -141,15 +141,14 @@ class MonitorReference:
             for each in self.coordinates.each
         ]
         self.lower, self.upper = np.array(limits).T
-        healthy = made.healthy
-        few = healthy.noise is None or len(healthy.noise.ratios) < POPULATION.least
-        self._healthy_ratios = None if few or healthy.noise is None else healthy.noise.pooled
+        known = made.healthy.noise
+        self._healthy_ratios = None if known is None or len(known.ratios) < POPULATION.least else known.pooled
         self.limit = lru_cache(lambda level, windows: log_limit(level, self.coordinates.causes, windows))
 
     def noise(self, sums: WindowSums, at: Floats) -> VarianceRatio:
         """Compare a window's residual at some coordinates with healthy noise."""
         samples, share = max(1, sums.samples), self.made.healthy.whitening.share
-        ratio = sums.squares(at) / samples
+        ratio = sums.whole.squares_at(at) / samples
         if self._healthy_ratios is None:
             return VarianceRatio.of(ratio, share * samples, share * self.made.baseline.freedom)
         new = NoiseRatios(np.array([[ratio]]), np.array([[share * samples]]))
@@ -247,16 +246,21 @@ class WindowEvaluation:
         return replace(self.now, watch=self.watch, alarms=self.now.alarmed(self.label, end), row=self.now.row + 1)
 
     @cached_property
-    def _ratios(self) -> tuple[float, float]:
-        """Variance over the healthy one, without and with named causes."""
-        null = self.against.known.after_also(self.sums.whole).mean if self.free else self.estimate.mean
-        without, with_ = (self.against.noise(self.raw, at).ratio for at in (null, self.estimate.mean))
-        return without, with_
+    def _variance(self) -> VarianceRatio:
+        """Residual with the named causes, against healthy noise."""
+        return self.against.noise(self.raw, self.estimate.mean)
 
-    @cached_property
+    @property
     def unexplained(self) -> bool:
         """True if the residual is larger than the noise in any case."""
-        return self.against.noise(self.raw, self.estimate.mean).is_larger(UNEXPLAINED_RESIDUAL.level_share * self.level)
+        return self._variance.is_larger(UNEXPLAINED_RESIDUAL.level_share * self.level)
+
+    @property
+    def _is_poorly_explained(self) -> bool:
+        """True if the named causes explain little beyond the noise."""
+        null = self.against.known.after_also(self.sums.whole).mean
+        without = self.against.noise(self.raw, null).ratio
+        return without - self._variance.ratio < EXPLAINED_SHARE * (without - 1.0)
 
     @property
     def label(self) -> str:
@@ -266,9 +270,8 @@ class WindowEvaluation:
             return ""
         if found is None:
             return SOMETHING_ELSE if self.unexplained else ""
-        without, with_ = self._ratios
         ending = self.now.gone > 0.0  # a part of the window has the cause
-        if self.free and self.unexplained and not ending and without - with_ < EXPLAINED_SHARE * (without - 1.0):
+        if self.free and self.unexplained and not ending and self._is_poorly_explained:
             return SOMETHING_ELSE
         return label_of(found.explanations)
 
@@ -292,7 +295,7 @@ class WindowEvaluation:
             "significant": (of.fault or of.name) if probability <= self.against.rule.level else "",
             "probability": probability,
             "statistic": self.statistic,
-            "variance_ratio": self._ratios[1],
+            "variance_ratio": self._variance.ratio,
             "unexplained": self.unexplained,
             "alarm": self.label,
         }

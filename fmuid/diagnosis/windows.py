@@ -139,16 +139,11 @@ class WindowSums:
     def whole(self) -> InformationMatrix:
         """Information of the window on all coordinates."""
         gram = self.grams.sum(axis=0)
-        return InformationMatrix(gram[1:, 1:], gram[1:, 0])
+        return InformationMatrix(gram[1:, 1:], gram[1:, 0], float(gram[0, 0]))
 
     def quieter(self, factor: float) -> WindowSums:
         """Return the sums beside noise with a variance larger by a factor."""
         return replace(self, grams=self.grams / factor)
-
-    def squares(self, at: Floats) -> float:
-        """Return the sum of squares of the residual at some coordinates (N,)."""
-        along = np.concatenate([[1.0], -at])
-        return max(0.0, float(along @ self.grams.sum(axis=0) @ along))
 
 
 def summed(

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import fmuid
 from experiments.coil import study as coil
 from fmuid.diagnosis import compute_stored_baseline
-from tests.support.operated_coil import KINDS, SAMPLES, STEP, WINDOW, L, R, monitor, operated, record
+from tests.support.operated_coil import FAULTS, KINDS, SAMPLES, STEP, WINDOW, baseline, monitor, operated, record
 
 
 # 12 of 400 at a level of 1 %: chance exceeds that in 0.06 %
@@ -76,22 +78,19 @@ CHANGES = {
 def test_diagnosis_at_operating_points(count: int, always: dict[str, float]) -> None:
     """Four sets of healthy records, 200 new records a change."""
     coil_model, draws = coil.models()[0], 200
-    turns = fmuid.Fault(coil.models()[1], {"dR": fmuid.Parameter(0.0, nominal=1.0)}, values={"tau": L / R})
-    faults, sets = {"turns": turns}, []
+    sets = []
     for number in range(4):
         rng = np.random.default_rng([43, number])
         records = [operated(rng, **always) for _ in range(count)]
-        parameters = {"R": fmuid.Parameter(3.0, min=0.0), "L": fmuid.Parameter(0.2, min=1e-4)}
-        result = fmuid.identify(fmuid.Problem(coil_model, records[0], parameters))
-        given = fmuid.Baseline(result, {"R": 10.0}, records=records)
-        shown = compute_stored_baseline(given, faults, fmuid.System.of(coil_model), fmuid.diagnosis.Causes())
-        sets.append(fmuid.Baseline(result, {"R": 10.0}, shown=shown))
+        given = baseline(records)
+        shown = compute_stored_baseline(given, FAULTS, fmuid.System.of(coil_model), fmuid.diagnosis.Causes())
+        sets.append(replace(given, records=(), shown=shown))
     first, alone, changed = (dict.fromkeys(CHANGES, 0) for _ in range(3))
     for name, change in CHANGES.items():
         for draw in range(draws):
             rng = np.random.default_rng([44, draw, list(CHANGES).index(name)])
             off = {key: always.get(key, 0.0) + change.get(key, 0.0) for key in {*always, *change}}
-            found = fmuid.diagnose(operated(rng, **off), sets[draw % 4], faults, coil_model)
+            found = fmuid.diagnose(operated(rng, **off), sets[draw % 4], FAULTS, coil_model)
             changed[name] += found.kind != "healthy"
             alone[name] += found.kind == "fault"
             wanted = {"turns": "turns.dR", "gain": "gain(i)", "offset": "offset(i)", "delay": "delay(i)"}
@@ -112,14 +111,10 @@ def test_diagnosis_at_operating_points(count: int, always: dict[str, float]) -> 
 def test_a_fault_shows_from_the_size_that_a_healthy_record_promises(draws: int, least: int) -> None:
     """95 % of records beside ten healthy ones; fewer than 180 of 200 come by chance in one of a thousand campaigns."""
     rng = np.random.default_rng([61, 0])
-    records = [operated(rng) for _ in range(10)]
-    parameters = {"R": fmuid.Parameter(3.0, min=0.0), "L": fmuid.Parameter(0.2, min=1e-4)}
-    result = fmuid.identify(fmuid.Problem(coil.models()[0], records[0], parameters))
-    turns = fmuid.Fault(coil.models()[1], {"dR": fmuid.Parameter(0.0, nominal=1.0)}, values={"tau": L / R})
-    healthy, shown = fmuid.Baseline(result, {"R": 10.0}, records=records), 0
+    healthy, shown = baseline([operated(rng) for _ in range(10)]), 0
     for draw in range(draws):
-        sound = fmuid.diagnose(operated(np.random.default_rng([62, draw])), healthy, {"turns": turns}, coil.models()[0])
+        sound = fmuid.diagnose(operated(np.random.default_rng([62, draw])), healthy, FAULTS, coil.models()[0])
         faulty = operated(np.random.default_rng([62, draw]), turns=sound.detectable["turns.dR"])
-        shown += fmuid.diagnose(faulty, healthy, {"turns": turns}, coil.models()[0]).kind != "healthy"
+        shown += fmuid.diagnose(faulty, healthy, FAULTS, coil.models()[0]).kind != "healthy"
     print(f"{shown} of {draws} faults of the promised size show")
     assert shown >= least

@@ -12,9 +12,7 @@ from scipy import stats
 import fmuid
 from experiments.coil import study as coil
 from fmuid.diagnosis.noise_ratios import NoiseRatios
-from tests.support.operated_coil import SAMPLES, L, R, monitor, operated, record
-
-TURNS = fmuid.Fault(coil.models()[1], {"dR": fmuid.Parameter(0.0, nominal=1.0)}, values={"tau": L / R})
+from tests.support.operated_coil import FAULTS, SAMPLES, baseline, monitor, operated, record
 
 
 def noisier(made: fmuid.Experiment, std: float, seed: int) -> fmuid.Experiment:
@@ -46,17 +44,14 @@ def test_the_level_holds_between_records_of_unequal_noise() -> None:
 def test_a_noisier_sensor_is_named_and_hides_no_fault(draws: int) -> None:
     """Ten healthy records of other operating points; noise of 1, 1.5 and 3 times theirs, with and without a fault."""
     rng = np.random.default_rng([51, 0])
-    records = [operated(rng) for _ in range(10)]
-    parameters = {"R": fmuid.Parameter(3.0, min=0.0), "L": fmuid.Parameter(0.2, min=1e-4)}
-    result = fmuid.identify(fmuid.Problem(coil.models()[0], records[0], parameters))
-    healthy = fmuid.Baseline(result, {"R": 10.0}, records=records)
+    healthy = baseline([operated(rng) for _ in range(10)])
     found: dict[tuple[float, float], Counter[str]] = {}
     inside = 0
     for factor, turns in ((1.0, 0.0), (1.5, 0.0), (3.0, 0.0), (1.5, 1.0), (3.0, 1.0)):
         for draw in range(draws):
             made = operated(np.random.default_rng([52, draw]), turns=turns)
             made = noisier(made, 0.01 * np.sqrt(factor**2 - 1.0), draw)
-            seen = fmuid.diagnose(made, healthy, {"turns": TURNS}, coil.models()[0])
+            seen = fmuid.diagnose(made, healthy, FAULTS, coil.models()[0])
             said = [each.label for one in seen.evidence.explanations for each in one.changes]
             found.setdefault((factor, turns), Counter())[f"{seen.kind} {' '.join(said)}".strip()] += 1
             low, high = seen["noise(i)"].interval()

@@ -52,7 +52,8 @@ def test_level_of_a_further_record(count: int, draws: int) -> None:
     rng, low, naive = np.random.default_rng([3, count]), 0, 0
     for _ in range(draws):
         *healthy, new = drawn(rng, count + 1, np.zeros(4))
-        population = tempered(Population.of(healthy, SCALES), healthy, SCALES)
+        plain = Population.of(healthy, SCALES)
+        population = tempered(plain, healthy, list(plain.without_each(healthy, SCALES)))
         raw = ScoreStatistics.of(new, population.known.drifting(SCALES.drift))
         judged = population.judged(raw)
         for news, how in ((judged, True), (raw, False)):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -14,6 +15,7 @@ from experiments.coil import study as coil
 
 STEP, R, L, STD = 1e-3, 4.0, 0.1, 0.0224  # s, Ω, H; A: a thirtieth of the current's power
 WINDOW, WINDOWS = 0.25, 40
+FAULTS = {"turns": fmuid.Fault(coil.models()[1], {"dR": fmuid.Parameter(0.0, nominal=1.0)}, values={"tau": L / R})}
 KINDS = ("white", "AR 0.6", "t3", "hum", "mixture")
 
 
@@ -44,14 +46,19 @@ def record(rng: np.random.Generator, kind: str, count: int, fault: np.ndarray | 
     return fmuid.Experiment(frame, ["u"], ["i"], interpolation="zoh", name=str(count))
 
 
+def baseline(records: Sequence[fmuid.Experiment]) -> fmuid.Baseline:
+    """Return the baseline of healthy records, identified from the first."""
+    parameters = {"R": fmuid.Parameter(3.0, min=0.0), "L": fmuid.Parameter(0.2, min=1e-4)}
+    result = fmuid.identify(fmuid.Problem(coil.models()[0], records[0], parameters))
+    return fmuid.Baseline(result, {"R": 10.0}, records=records)
+
+
 def monitor(rng: np.random.Generator, kind: str, *, with_records: bool) -> fmuid.Monitor:
     """Return a monitor of a fresh healthy record of 3 s."""
     healthy = record(rng, kind, 3000)
-    parameters = {"R": fmuid.Parameter(3.0, min=0.0), "L": fmuid.Parameter(0.2, min=1e-4)}
-    result = fmuid.identify(fmuid.Problem(coil.models()[0], healthy, parameters))
-    turns = fmuid.Fault(coil.models()[1], {"dR": fmuid.Parameter(0.0, nominal=1.0)}, values={"tau": L / R})
-    baseline = fmuid.Baseline(result, {"R": 10.0}, records=[healthy] if with_records else ())
-    return fmuid.Monitor(baseline, {"turns": turns}, coil.models()[0], fmuid.Rule(window=WINDOW, transient=0.2))
+    known = baseline([healthy])
+    known = known if with_records else replace(known, records=())
+    return fmuid.Monitor(known, FAULTS, coil.models()[0], fmuid.Rule(window=WINDOW, transient=0.2))
 
 
 SAMPLES = round(WINDOW * WINDOWS / STEP) + 200
