@@ -30,6 +30,7 @@ include_patterns = [
     "experiments/**.md",
     "fmus/**.md",
     "fmuid/export/README.md",
+    "fmuid/simulation/native/README.md",
     "CONTRIBUTING.md",
     "CHANGELOG.md",
 ]

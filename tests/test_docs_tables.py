@@ -1,4 +1,4 @@
-"""Each row of docs/tables.md: such a table is made, and read as the row says."""
+"""Each row of docs/tables.md and docs/time-columns.md: such a table is made, and read as the row says."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -75,7 +75,7 @@ def assert_plain(*found: Experiment) -> None:
 
 
 def test_each_row_is_here() -> None:
-    heads = [cells[0] for cells in rows("tables.md", 2)]
+    heads = [cells[0] for page in ("tables.md", "time-columns.md") for cells in rows(page, 2)]
     assert sorted(heads) == sorted([*ROWS, *VARIANTS])
     assert {name for names in VARIANTS.values() for name in names} <= writers().keys()
 

@@ -14,7 +14,7 @@ from fmuid.apps.cli.app import app
 from fmuid.apps.cli.options import SCREEN_OPTIONS
 
 SHARED = 3
-"""Commands with an option before it is listed once for all."""
+"""Commands with an argument or option before it is listed once for all."""
 
 HEAD = """# The commands
 
@@ -40,9 +40,9 @@ options:
     fmuid completion zsh > ~/.zfunc/_fmuid         # a folder of fpath
     fmuid completion fish > ~/.config/fish/completions/fmuid.fish
 
-## Options of several commands
+## Arguments and options of several commands
 
-Each command lists in its last line which of these it has.
+Each command lists in its last line which of these options it has.
 
 {shared}
 """
@@ -53,7 +53,7 @@ def page() -> str:
     commands = [each.callback for each in app.registered_commands if each.callback is not None]
     infos = {name: get_args(kind)[1] for name, kind in SCREEN_OPTIONS.items()}
     options = "\n".join(f"- `--{name}`: {info.help}" for name, info in infos.items())
-    counts = Counter(row for each in commands for row in _rows(each).values() if row.startswith("- `-"))
+    counts = Counter(row for each in commands for row in _rows(each).values())
     shared = [row for row, count in counts.items() if count >= SHARED]
     sections = [_section(each, shared) for each in commands]
     return "\n".join([HEAD.format(options=options, shared="\n".join(shared)), *sections])
@@ -64,12 +64,12 @@ def _name(command: Callable[..., Any]) -> str:
 
 
 def _section(command: Callable[..., Any], shared: list[str]) -> str:
-    """Return heading, usage and options of a command; shared options by name only."""
+    """Return heading, usage and options of a command; shared ones by name only."""
     rows = _rows(command)
     places = [word for word in rows if not word.startswith("-")]
     usage = " ".join(["    fmuid", _name(command), *places, *(["[OPTIONS]"] if len(places) < len(rows) else [])])
     own = [row for row in rows.values() if row not in shared]
-    also = ", ".join(f"`{word}`" for word, row in rows.items() if row in shared)
+    also = ", ".join(f"`{word}`" for word, row in rows.items() if row in shared and word.startswith("-"))
     last = [f"{'Also' if own else 'Has'} {also}.", ""] if also else []
     head = [f"## fmuid {_name(command)}", "", _text(command.__doc__), "", usage, ""]
     return "\n".join([*head, *own, *([""] if own else []), *last])

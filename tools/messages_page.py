@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from importlib import import_module
-from itertools import groupby
 from pathlib import Path
 from pkgutil import walk_packages
 
@@ -41,9 +40,12 @@ def kinds() -> Iterator[type[Message]]:
 
 def listed(kind: type[Message]) -> str:
     """Return the messages of a class that need an explanation, with it."""
-    groups = groupby((each for each in kind if each.meaning and has_words(each)), key=lambda each: each.meaning)
-    said = [(meaning, ", ".join(f"*{_said(each.text)}*" for each in group)) for meaning, group in groups]
-    return "\n".join(f"- {texts}: {meaning}" for meaning, texts in said)
+    said: dict[str, list[str]] = {}
+    for each in kind:
+        text = f"*{_said(each.text)}*"
+        if each.meaning and has_words(each) and text not in said.setdefault(each.meaning, []):
+            said[each.meaning].append(text)
+    return "\n".join(f"- {', '.join(texts)}: {meaning}" for meaning, texts in said.items() if texts)
 
 
 def has_words(message: Message) -> bool:

@@ -22,7 +22,7 @@ class IdentifiabilityMessage(Message, section="correlation"):
         "Fix {names}, add a prior, or measure an output that {names} affects.",
     )
     HIDDEN = bad("{names} is not identifiable: its effect is below the solver error.", remedy=_FINER)
-    COMBINATION = bad("{names} are not identifiable; only {combinations} {verb}.", "for example a ratio or a sum", _FIX)
+    COMBINATION = bad("{names} are not identifiable; only {combinations} {verb}.", remedy=_FIX)
     HIDDEN_COMBINATION = bad(
         "{names} are not identifiable within the solver error; only {combinations} {verb}.", remedy=_FINER
     )

@@ -35,16 +35,14 @@ class ModelErrorMessage(Message, section="hiding"):
     CLOCK = doubt(
         "{first} late by {size} at the end", "clocks of different rates, or lost samples", "Record with one clock."
     )
-    INPUT_DELAY = doubt("{first} late by {size}", "the input acts later than recorded", "Shift the time of {first}.")
-    INPUT_ADVANCE = doubt("{first} early by {size}", "the input acts before its record", "Shift the time of {first}.")
+    INPUT_DELAY = doubt("{first} late by {size}", remedy="Shift the time of {first}.")
+    INPUT_ADVANCE = doubt("{first} early by {size}", remedy="Shift the time of {first}.")
     RESPONSE_DELAY = doubt("{first} late by {size}", "channels not read at one instant", "Set `delay` of {first}.")
-    INTERPOLATION = doubt(
-        "interpolation of {first} is wrong", "held where linear was assumed, or the reverse", "Change `interpolation`."
-    )
-    OFFSET = doubt("offset of {first} is {size}", "a sensor's zero", "Remove it with `preprocess`, or free it.")
-    ZERO_DRIFT = doubt("offset of {first} grows by {size}", "a sensor's zero drifts", "Remove it with `preprocess`.")
-    INPUT_OFFSET = doubt("offset of {first} is {size}", "a sensor's zero", "Remove it with `preprocess`.")
-    GAIN = doubt("gain of {first} is off by {size}", "a sensor's calibration", "Calibrate {first}.")
+    INTERPOLATION = doubt("interpolation of {first} is wrong", remedy="Change `interpolation`.")
+    OFFSET = doubt("offset of {first} is {size}", remedy="Remove it with `preprocess`, or free it.")
+    ZERO_DRIFT = doubt("offset of {first} grows by {size}", remedy="Remove it with `preprocess`.")
+    INPUT_OFFSET = doubt("offset of {first} is {size}", remedy="Remove it with `preprocess`.")
+    GAIN = doubt("gain of {first} is off by {size}", remedy="Calibrate {first}.")
     NONLINEARITY = doubt(
         "gain of {first} falls by {size} at its largest value", "a sensor near its range", "Calibrate {first}."
     )
@@ -67,9 +65,9 @@ class ModelErrorMessage(Message, section="hiding"):
         "Let {first} depend on {others}, or record at one amplitude.",
     )
     DRIFT = doubt("{first} drifts by {size}", "temperature, or wear", "Shorten the record, or model the drift.")
-    STEP = doubt("{first} changes by {size} at half time", "the machine changed", "Split the record.")
+    STEP = doubt("{first} changes by {size} at half time", remedy="Split the record.")
     INITIAL_STATE = doubt("initial {first} is off by {size}", "the record starts in motion", "Set a longer `warmup`.")
-    FIXED = doubt("fixed {first} is off by {size}", "its value is not that of the machine", "Free {first}.")
+    FIXED = doubt("fixed {first} is off by {size}", remedy="Free {first}.")
 
 
 class DefectMessage(Message, section="residuals"):
@@ -105,7 +103,7 @@ class DefectMessage(Message, section="residuals"):
 class HidingMessage(Message, section="hiding"):
     """Model errors that were tested, and those that the data cannot show."""
 
-    SHIFT = doubt("{error}: {name} moves by {shift} σ (p = {probability}).", "a directed test names this model error")
+    SHIFT = doubt("{error}: {name} moves by {shift} σ (p = {probability}).")
     FREED = plain("Freed in this result: {error}.", "the size is a parameter of the fit; intervals include it")
     PROCESS_NOISE = plain(
         "Noise looks like a disturbance of {states} ({share} of its variance).",
@@ -113,7 +111,6 @@ class HidingMessage(Message, section="hiding"):
     )
     NONE = plain(
         "No model error found in {count} directions (level {level}).",
-        "directed tests of sensors, clocks, inputs, parameters and states",
     )
     HIDDEN = plain(
         "Could hide: {error} of {usual} moves {name} by {shift} σ; shows from {detectable}.",

@@ -78,8 +78,7 @@ class BatchMessage(Message):
     )
     NOT_TESTED = plain(
         "Residuals and model errors were not tested in the cases.",
-        "a verdict of a case is that of its optimization and solver",
-        'Set `estimation.model_error = "report"` to test model errors, too.',
+        remedy='Set `estimation.model_error = "report"` to test model errors, too.',
     )
     CHECKED = plain("Solver error checked in {total} cases, in {checked} by new simulations.")
     REFINED = plain("Solver refined in {count} cases.")

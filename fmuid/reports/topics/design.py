@@ -42,9 +42,7 @@ class DesignMessage(Message, section="excitations"):
         "{size}: detectable size is {times:.3g} × its limit; with {length:g} × longer healthy data, {longer:.3g} ×.",
         "the limit is that of endless healthy data",
     )
-    SENSITIVITIES = plain(
-        "Sensitivities at the initial guesses.", "small: weakly identifiable; similar: strongly correlated"
-    )
+    SENSITIVITIES = plain("Sensitivities at the initial guesses.")
 
 
 def design_document(

@@ -92,12 +92,11 @@ class DiagnosisMessage(Message, section="causes"):
         "A fault would show from {sizes} (95 % of such records).",
         "a smaller one may be there: record longer, or with more excitation",
     )
-    CHECK = plain("Check first: {what}.", "what most often causes such a change")
+    CHECK = plain("Check first: {what}.")
     COVERED = plain("Healthy records: {count}; {ranges}.", "mean and rms values of the inputs")
     OUTSIDE = doubt(
         "Outside the baseline: {name} = {value:.3g}, healthy {low:.3g} to {high:.3g}.",
-        "an operating point that no healthy record has",
-        "Add healthy data of this operating point.",
+        remedy="Add healthy data of this operating point.",
     )
     COMMON = plain("Healthy parameters: {values}.")
     RESIDUAL = plain(
@@ -107,9 +106,7 @@ class DiagnosisMessage(Message, section="causes"):
         "Residual variance: {ratio:.3g} × baseline; unexplained structure: p = {probability:.2g}.",
         "beside healthy data; more variance without structure is noise of a sensor",
     )
-    MODEL_ERROR = plain(
-        "Fault-model error: {share:.2g} % along other signatures.", "difference between a fault and its model"
-    )
+    MODEL_ERROR = plain("Fault-model error: {share:.2g} % along other signatures.")
     DEVIATION = doubt(
         "{name} is {distance:.2g} σ from its baseline.",
         remedy="Raise `std_factor`, or look for a change of the machine.",

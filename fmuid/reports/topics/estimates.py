@@ -33,9 +33,7 @@ class EstimateMessage(Message, section="correlation"):
 
     NONE = plain("No σ for {names}.")
     ONE = plain("Relative σ of {name}: {share}.")
-    SEVERAL = plain(
-        "Relative σ: {least} ({best}) to {most} ({worst}).", "σ over value of the best and of the worst parameter"
-    )
+    SEVERAL = plain("Relative σ: {least} ({best}) to {most} ({worst}).")
 
 
 def precision_remarks(result: Result) -> list[Remark]:

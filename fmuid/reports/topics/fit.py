@@ -31,7 +31,7 @@ Band = tuple[Floats | None, float]
 class FitMessage(Message, section="fit"):
     """Agreement of measured and simulated outputs."""
 
-    FIT = plain("Fit (NRMSE): {scores}.", "100 (1 − ‖y − ŷ‖/‖y − ȳ‖) as in MATLAB; 0 %: no better than the mean")
+    FIT = plain("Fit (NRMSE): {scores}.", "as in MATLAB; 0 %: no better than the mean")
     LEAST = plain("Lowest fit (NRMSE): {scores}.")
     STRETCH = doubt(
         "{share} of the squared residual{where} lies in {start} to {end} s ({time} of the time).",

@@ -51,7 +51,7 @@ class RunMessage(Message):
     """Results of a run as a whole."""
 
     POINT = plain("Best point: {point}.")
-    NOISE = plain("Residual: {noise}.", "of each output, beside the stated noise")
+    NOISE = plain("Residual: {noise}.")
     INFORMATION = plain(
         "Likelihood: χ² {chi}, {dof} degrees of freedom; −2 ln L {twice}; AIC {aic}; BIC {bic}.",
         "with the noise variance that the fit used; estimated variances count as parameters",

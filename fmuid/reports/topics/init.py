@@ -46,8 +46,7 @@ class InitMessage(Message, section="columns"):
     )
     MARKS = doubt(
         "{file}: {count} samples of {column!r} are {value:g}, taken as missing.",
-        "a logger's mark for missing samples",
-        "Set missing = [] if they were measured.",
+        remedy="Set missing = [] if they were measured.",
     )
     NO_SURVEY = doubt("Effects of the parameters unknown: {failure}")
 

@@ -25,11 +25,9 @@ ESTIMATES = "Estimates that several results have, with 95 % intervals. The inter
 class ComparisonMessage(Message, section="likelihood"):
     """Result that the data prefer."""
 
-    APART = doubt("{reason}", "likelihoods can be compared on the same data only")
+    APART = doubt("{reason}")
     ALIKE = plain("{names} are equally good (AIC differs by less than {limit:g}).", remedy="Prefer the simplest model.")
-    BEST = plain(
-        "{best} is best by AIC, not clearly: {second} is {behind:.3g} higher.", "clear: a difference of 10 or more"
-    )
+    BEST = plain("{best} is best by AIC, not clearly: {second} is {behind:.3g} higher.")
     CLEARLY_BEST = plain("{best} is clearly best by AIC: {second} is {behind:.3g} higher.")
     BY_BIC = plain("BIC prefers {best}.")
     REJECTED = plain("{smaller} is rejected against {larger}: it needs {freed} (p = {chance}).")

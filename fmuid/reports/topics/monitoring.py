@@ -37,14 +37,12 @@ class MonitoringMessage(Message, section="timeline"):
     NO_ALARM = plain("NO ALARM in {windows} windows at {level:g} % false-alarm rate {per}.")
     ALARM = plain(
         "ALARM {cause}{onset}, raised at {time:.6g} s{record}.",
-        "cause, onset with its 95 % interval, end of the first window",
     )
     UNEXPLAINED = plain(
         "ALARM unexplained change, raised at {time:.6g} s of {record}.",
-        "no cause explains the residual: a fault without a model",
-        "Add a fault model, or check sensors and inputs.",
+        remedy="Add a fault model, or check sensors and inputs.",
     )
-    ENDED = plain("Ended at {time:.6g} s{record}.", "begin of the windows without the cause")
+    ENDED = plain("Ended at {time:.6g} s{record}.")
     SIZE_AT_ALARM = plain("Size at the alarm: {sizes}.")
     SIZE_NOW = plain("Current size: {sizes}.")
     SIZE_SINCE = plain("Size until the end: {sizes}.")

@@ -42,13 +42,11 @@ class PredictionMessage(Message, section="prediction"):
     )
     CORRECTED = plain(
         "Fixed values as the result corrected them: {values}.",
-        "estimates hold with these",
-        "Free them in the study, or on each record with --refit.",
+        remedy="Free them in the study, or on each record with --refit.",
     )
     FREED = doubt(
         "Freed errors are not in predictions: {errors}.",
-        "the result was estimated beside them",
-        "Correct them in the data, or model them, and identify again.",
+        remedy="Correct them in the data, or model them, and identify again.",
     )
     OPEN = plain("{record}: {output} predicted ({size}); its expected RMSE is unknown.")
     AS_EXPECTED = plain("{record}: {output} predicted as expected ({size}).")

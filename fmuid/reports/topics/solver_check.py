@@ -109,12 +109,12 @@ class SolverMessage(Message, section="accuracy"):
 class UncheckedMessage(Message, section="accuracy"):
     """Reasons of an unknown solver error, by `AccuracyOutcome`."""
 
-    UNKNOWN = ("an estimate has no σ",)
-    UNCHECKABLE = ("shorter communication steps change nothing", "the FMU ignores them: halving gives no bound")
-    COUPLED = ("shorter communication steps suggest {bound}", "or a sampled controller acts more often")
-    FAILED = ("shorter communication steps fail", "halving gives no bound")
-    SUGGESTED = ("half the communication step suggests {bound}", "twice its shift, by Richardson at order 1")
-    INTERRUPTED = ("its check was interrupted",)
+    UNKNOWN = "an estimate has no σ"
+    UNCHECKABLE = "shorter communication steps change nothing"
+    COUPLED = "shorter communication steps suggest {bound}"
+    FAILED = "shorter communication steps fail"
+    SUGGESTED = "half the communication step suggests {bound}"
+    INTERRUPTED = "its check was interrupted"
 
 
 def unchecked_words(found: Doubt) -> str:

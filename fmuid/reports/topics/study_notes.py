@@ -23,8 +23,7 @@ class StudyMessage(Message):
 
     GAP = doubt(
         "{data}: rows missing after {times} s; inputs are interpolated.",
-        "the inputs meanwhile are unknown",
-        "Cut the data there if the inputs changed.",
+        remedy="Cut the data there if the inputs changed.",
     )
     TOO_LONG = doubt(
         "{data}: time unit looks wrong ({duration} s long, model settles in {constant} s).",
@@ -123,10 +122,10 @@ def source_remark(note: SourceWarning) -> Remark:
 class ChangeMessage(Message):
     """Offered changes of a study, by `ChangeKind`; the score is the expected fall of −2 ln L."""
 
-    FREE = ("Free {subject}", "a fixed parameter has another value")
-    INTERPOLATION = ('Interpolate {subject} by "{value}"', "held where linear was assumed, or the reverse")
-    WARMUP = ("Set a warm-up of {value} s in {subject}", "most of the residual sits there")
-    OFFSET = ("Subtract {value} from {subject}", "a sensor's zero")
+    FREE = "Free {subject}"
+    INTERPOLATION = 'Interpolate {subject} by "{value}"'
+    WARMUP = "Set a warm-up of {value} s in {subject}"
+    OFFSET = "Subtract {value} from {subject}"
 
 
 def change_title(found: StudyChange) -> str:

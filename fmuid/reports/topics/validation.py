@@ -30,13 +30,12 @@ class ValidationMessage(Message):
     REPEATABLE = plain("second simulation: same outputs")
     NOT_REPEATABLE = plain(
         "second simulation: different outputs",
-        "the FMU keeps data; with process isolation each simulation has a new process",
-        "Export the FMU again without static variables.",
+        remedy="Export the FMU again without static variables.",
     )
     NEEDS_TOOL = plain("runs only with {tool} on this machine ({interfaces})", remedy="Export it as a standalone FMU.")
     SIMULATED = plain("{run}{span}: {samples} samples, {outputs}{seconds}")
     TIMED_OUT = plain("stopped after {limit:g} s {stage}")
-    CRASHED = plain("{how} {stage}", "a fault of the FMU's compiled code")
+    CRASHED = plain("{how} {stage}")
     LICENSE = plain(
         "{error}; check the tool's license", remedy="Get a license, or export the FMU with a tool that needs none."
     )

@@ -7,7 +7,7 @@ from itertools import groupby
 
 from fmuid.estimation import Doubt, Grade, Reason, Verdict
 from fmuid.formatting import listed
-from fmuid.reports.document import Message, Tone
+from fmuid.reports.document import Message, Tone, plain
 from fmuid.reports.topics.assumptions import defect_remedy, defect_words, error_remedy, error_words
 from fmuid.reports.topics.solver_check import unchecked_words
 
@@ -23,83 +23,55 @@ STATES: dict[Grade, tuple[str, Tone]] = {
 class VerdictMessage(Message):
     """Reasons of a verdict, the gravest first."""
 
-    INTERRUPTED = ("interrupted", "by Ctrl-C: the best values so far", "Continue with `--resume`.")
-    NOT_CONVERGED = ("not converged: {first}", "no minimum was found", "Follow the message of the termination.")
-    NON_IDENTIFIABLE = (
-        "{subjects} not identifiable",
-        "the data do not determine these parameters, or only a combination",
-        "Fix one of them, add a prior, or use another excitation.",
+    INTERRUPTED = plain("interrupted", remedy="Continue with `--resume`.")
+    NOT_CONVERGED = plain("not converged: {first}", remedy="Follow the message of the termination.")
+    NON_IDENTIFIABLE = plain(
+        "{subjects} not identifiable", remedy="Fix one of them, add a prior, or use another excitation."
     )
-    BETTER_OPTIMUM = (
-        "a better optimum exists near {subjects}",
-        "a profile or a cost map found a lower cost",
-        "Identify again from there.",
+    BETTER_OPTIMUM = plain("a better optimum exists near {subjects}", remedy="Identify again from there.")
+    POOR_FIT = plain("{first} fits only {fit:.0f} % (NRMSE)", remedy="Check the model.")
+    LARGE_RESIDUAL = plain(
+        "residual is {ratio:.2g} × noise level", remedy="Check the model, input interpolation and units."
     )
-    POOR_FIT = ("{first} fits only {fit:.0f} % (NRMSE)", "the model explains less than half", "Check the model.")
-    LARGE_RESIDUAL = (
-        "residual is {ratio:.2g} × noise level",
-        "the model does not explain the data from any starting point",
-        "Check the model, input interpolation and units.",
+    SOLVER_UNCHECKED = plain("solver error unknown: {cause}", remedy="Export the FMU for Model Exchange.")
+    SOLVER_ERROR = plain(
+        "solver error moves {first} by {shift:.2g} σ", remedy="Leave `interface`, `tolerance` and `solver_check` unset."
     )
-    SOLVER_UNCHECKED = (
-        "solver error unknown: {cause}",
-        "no more accurate simulation",
-        "Export the FMU for Model Exchange.",
+    FEEDBACK = plain(
+        "{first} follows the residual", remedy="Identify the loop from its reference, or check the clocks."
     )
-    SOLVER_ERROR = (
-        "solver error moves {first} by {shift:.2g} σ",
-        "σ includes it",
-        "Leave `interface`, `tolerance` and `solver_check` unset.",
-    )
-    FEEDBACK = (
-        "{first} follows the residual",
-        "a closed loop, whose noise biases estimates, or outputs that run ahead of the inputs",
-        "Identify the loop from its reference, or check the clocks.",
-    )
-    MODEL_ERROR = ("{error}", "a directed test names this model error", "Follow the message of the model error.")
-    DATA_DEFECT = (
-        "{defect}",
-        "the record itself biases estimates or intervals",
-        "Record again, or weight the samples.",
-    )
-    EXPERIMENTS_CONFLICT = (
+    MODEL_ERROR = plain("{error}", remedy="Follow the message of the model error.")
+    DATA_DEFECT = plain("{defect}", remedy="Record again, or weight the samples.")
+    EXPERIMENTS_CONFLICT = plain(
         "{first} contradicts the other experiments (p = {probability:.1g})",
-        "its own estimates differ from theirs",
-        "Check units, conditions and the model of this experiment.",
+        remedy="Check units, conditions and the model of this experiment.",
     )
-    PRIOR_DATA_CONFLICT = (
-        "prior and data conflict (p = {probability:.1g})",
-        "prior, model or machine differ",
-        "Check the prior, the model and the machine.",
+    PRIOR_DATA_CONFLICT = plain(
+        "prior and data conflict (p = {probability:.1g})", remedy="Check the prior, the model and the machine."
     )
-    NOISE_LEVEL = ("residual of {subjects} contradicts its stated noise level", "the stated σ is wrong, or the model")
-    INPUT_CORRELATION = (
-        "model misses effects of {inputs}",
-        "the residual is correlated with inputs",
-        "Check interpolation, delay and unit of these inputs.",
+    NOISE_LEVEL = plain("residual of {subjects} contradicts its stated noise level")
+    INPUT_CORRELATION = plain(
+        "model misses effects of {inputs}", remedy="Check interpolation, delay and unit of these inputs."
     )
-    COLORED_RESIDUAL = (
-        "residual of {subjects} is colored",
-        "dynamics of the noise, or of the machine that the model does not have",
-        "Check the model structure and sensor filters.",
+    COLORED_RESIDUAL = plain(
+        "residual of {subjects} is colored", remedy="Check the model structure and sensor filters."
     )
-    PERIODIC_ERROR = ("residual of {subjects} repeats with the excitation", "model error; σ includes it")
-    LOW_FREQUENCY_NOISE = ("residual of {subjects} has low-frequency noise", "noise or model error; σ includes it")
-    LONG_MEMORY = ("noise of {subjects} is slow for its recording", "σ is uncertain", "Record longer.")
-    OFFSET = ("residual of {subjects} has an offset", "of a sensor, or of the model", "Add an offset parameter.")
-    DISTRIBUTION = ("residual of {subjects} is not normal", "outliers, or asymmetric noise", "Set a robust `loss`.")
-    AT_BOUND = ("{subjects} at a bound", "the data point beyond it", "Widen the bound or check the model.")
-    WEAKLY_IDENTIFIABLE = ("{subjects} weakly identifiable", "σ above the scale", "Use a stronger excitation.")
-    PRIOR_DOMINATED = ("{subjects} identifiable only through the prior", "the data alone do not determine them")
-    SECOND_OPTIMUM = ("a second optimum fits equally well", "the data allow both", "Narrow the bounds or add a prior.")
-    NONLINEAR = ("model nonlinear between prior and data", "local σ is an order of magnitude", "Compute a profile.")
-    OBSERVER = ("fit of predictions by an observer", "measurement noise biases it", "Use a slower observer.")
-    SAMPLING = ("posterior samples did not converge", "credible intervals are unreliable", "Raise `steps`.")
-    MISSING_ROWS = ("rows missing in {subjects}", "inputs are interpolated", "Cut the data there.")
-    ACQUISITION_DELAY = (
+    PERIODIC_ERROR = plain("residual of {subjects} repeats with the excitation")
+    LOW_FREQUENCY_NOISE = plain("residual of {subjects} has low-frequency noise")
+    LONG_MEMORY = plain("noise of {subjects} is slow for its recording", remedy="Record longer.")
+    OFFSET = plain("residual of {subjects} has an offset", remedy="Add an offset parameter.")
+    DISTRIBUTION = plain("residual of {subjects} is not normal", remedy="Set a robust `loss`.")
+    AT_BOUND = plain("{subjects} at a bound", remedy="Widen the bound or check the model.")
+    WEAKLY_IDENTIFIABLE = plain("{subjects} weakly identifiable", remedy="Use a stronger excitation.")
+    PRIOR_DOMINATED = plain("{subjects} identifiable only through the prior")
+    SECOND_OPTIMUM = plain("a second optimum fits equally well", remedy="Narrow the bounds or add a prior.")
+    NONLINEAR = plain("model nonlinear between prior and data", remedy="Compute a profile.")
+    OBSERVER = plain("fit of predictions by an observer", remedy="Use a slower observer.")
+    SAMPLING = plain("posterior samples did not converge", remedy="Raise `steps`.")
+    MISSING_ROWS = plain("rows missing in {subjects}", remedy="Cut the data there.")
+    ACQUISITION_DELAY = plain(
         "σ of {first} includes a delay within ±½ sample (× {widening:.2g})",
-        "channels need not be read at one instant; this delay dominates σ",
-        "Set `noise.delay_std = 0` if inputs and outputs are simultaneous.",
+        remedy="Set `noise.delay_std = 0` if inputs and outputs are simultaneous.",
     )
 
 

@@ -1,7 +1,7 @@
 """The compiled core: its library and structures.
 
 `core()` returns the library with its structures as attributes, laid out as the library says.
-Its sources are beside this file; docs/native-core.md describes them.
+Its sources and README.md, which describes them, are beside this file.
 """
 
 from __future__ import annotations
