@@ -109,19 +109,17 @@ class PhasorSimulator(PointSimulator):
 
     @cached_property
     def _points(self) -> PointModel:
-        return self._points_at(np.zeros_like(self.vector.real))
-
-    def _points_at(self, voltages: Floats) -> PointModel:
-        """Return the model with voltages (2, K) at each speed."""
+        """The model at each speed: without voltages, then at their amplitudes."""
         _, angular, slip = self.supply
+        voltages = np.hstack([np.zeros_like(self.vector.real), self.vector.real])
         inputs = dict(zip(self.terminals.voltages, voltages, strict=True))
-        inputs |= {self.terminals.speed: angular * (1.0 - slip)} if self.terminals.speed else {}
+        inputs |= {self.terminals.speed: np.tile(angular * (1.0 - slip), 2)} if self.terminals.speed else {}
         return self.points(inputs, self.terminals.voltages, self.terminals.currents, "frame")
 
     def _compute(self, thetas: Floats) -> tuple[Floats, list[str]]:
         """Return outputs (m, K, n_outputs) of all rows, and reasons of failures."""
         points, (_, angular, slip) = self._points, self.supply
-        models = points.at(np.zeros((slip.size, len(points.states))), thetas)
+        models = points.at(np.zeros((2 * slip.size, len(points.states))), thetas).of(np.s_[: slip.size])
         states = _states(models, self.frequencies, self.vector.T)
         currents = (models.c @ states + models.d @ self.vector.T[..., None])[..., 0]
         resistance = np.full(len(thetas), np.nan)
@@ -141,7 +139,8 @@ class PhasorSimulator(PointSimulator):
 
     def _curvature(self, states: Phasors, a: Floats, theta: Floats) -> str:
         """Return why phasors do not hold; "" if the model is linear."""
-        rates = self._points_at(self.vector.real).at(np.ascontiguousarray(states.real), theta).rates[0]
+        points = self._points.at(np.vstack([np.zeros_like(states.real), states.real]), theta)
+        rates = points.rates[0, len(states) :]
         linear = (1j * self.frequencies[:, None] * states).real
         size = np.abs(a * states[:, None]).max(axis=(1, 2)) + np.abs(rates).max(axis=1)
         wrong = np.abs(rates - linear).max(axis=1) > SETTINGS.linear * size

@@ -68,6 +68,10 @@ class StateSpace:
     rates: Floats  # (m, K, n_x), ẋ at the points
     outputs: Floats  # (m, K, n_y)
 
+    def of(self, rows: slice) -> StateSpace:
+        """Return the models of some rows."""
+        return StateSpace(*(each[:, rows] for each in vars(self).values()))
+
 
 class PointModel:
     """Derivatives and outputs of one FMU about K operating points.
@@ -91,8 +95,10 @@ class PointModel:
         self._copies = 2 if self.count == 1 else 1  # one row is no experiment
         repeated = {name: np.repeat(each, self._copies) for name, each in columns.items()}
         first = model.simulator(repeated, self.outputs, units)
-        probe = RightHandSide.of(first, by_rows=True)
-        self.states: tuple[str, ...] = () if probe is None else probe.states
+        ((component, own),) = model.system.components.items()
+        self.states = tuple(model.system.full_name(component, name) for name in own.fmu.description.states)
+        is_exact = gives_derivatives(model.system, self.outputs, self.seeds)
+        probe = RightHandSide.of(first, by_rows=True, seeds=(*self.states, *self.seeds) if is_exact else ())
         self.is_open = probe is not None and bool(self.states)
         if probe is None or not self.states:
             return
@@ -103,11 +109,7 @@ class PointModel:
         self.input_steps = {
             name: SETTINGS.input_step * np.where(columns[name] == 0.0, 1.0, np.abs(columns[name])) for name in seeds
         }
-        self._initial = probe.initial
-        exact = gives_derivatives(probe.system, self.outputs, self.seeds)
-        seeded = (*self.states, *self.seeds)
-        self._exact = RightHandSide.of(first, by_rows=True, seeds=seeded) if exact else None
-        self._is_checked = False
+        self._initial, self._exact, self._is_checked = probe.initial, probe if is_exact else None, False
 
     @cached_property
     def _side(self) -> RightHandSide:

@@ -111,14 +111,15 @@ class SteadySimulator(PointSimulator):
         self, points: PointModel, theta: Floats, near: Floats | None, *, first: bool
     ) -> tuple[Floats, tuple[int, SteadyIssue] | None, Floats | None]:
         """Return the signals (K, n), an issue, and states near by; `first` as of `first_issue`."""
-        found = None if near is None else settle(points, theta, near, by_newton=True)
+        found, others = None if near is None else settle(points, theta, near, by_newton=True), list[Floats]()
         if found is None or not found.found.all():
             found = find_steady_states(points, theta, self._start(points, theta))
+            others = [] if self._usual is None else [self._usual]
         lost = ~found.found | (is_unstable(found.models) & (not self.experiment.guess))
         if lost.any():
             found = self._from_simulations(points, theta, found, lost)
-        starts = [] if self.experiment.guess else [self._usual, *other_starts(points, found.states)]
-        issue = first_issue(points, theta, found, first=first, starts=[each for each in starts if each is not None])
+        starts = [] if self.experiment.guess else [*others, *other_starts(points, found.states)]
+        issue = first_issue(points, theta, found, first=first, starts=starts)
         return found.models.outputs[0], issue, found.states if issue is None else near
 
     @cached_property

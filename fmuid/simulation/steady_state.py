@@ -23,6 +23,7 @@ class NewtonSettings:
     """Numbers of the search for steady states."""
 
     most_iterations: int = 60
+    other_iterations: int = 25  # from the second starts: rows that are not there by then rarely arrive
     tolerance: float = 1e-9  # last step, relative to state or nominal value; the next would be its square
     contraction: float = 0.5  # largest correction of a step, relative to it (Newton-Mysovskikh)
     change: tuple[float, float] = (0.1, 100.0)  # of the time step, at once
@@ -67,7 +68,14 @@ def find_steady_states(model: PointModel, theta: Floats, start: Floats) -> Stead
     return found
 
 
-def settle(model: PointModel, theta: Floats, start: Floats, *, by_newton: bool = False) -> SteadyStates:
+def settle(
+    model: PointModel,
+    theta: Floats,
+    start: Floats,
+    *,
+    by_newton: bool = False,
+    most_iterations: int = SETTINGS.most_iterations,
+) -> SteadyStates:
     """Iterate all rows, each with its own time step; `by_newton`, rows are lost where Newton does not contract."""
     thetas, states = theta[None], start.copy()
     models = model.at(states, thetas)
@@ -75,7 +83,7 @@ def settle(model: PointModel, theta: Floats, start: Floats, *, by_newton: bool =
     first = _first_time_step(models, scale)
     step, last = np.full(len(states), np.inf), first
     done, lost = np.zeros((2, len(states)), dtype=np.bool_)
-    for _ in range(SETTINGS.most_iterations):
+    for _ in range(most_iterations):
         system = _ImplicitStep(models, scale, step)
         moves = system.solve(models.rates[0])
         sizes = _norm(moves / scale)
@@ -146,7 +154,8 @@ def _inverses(matrices: Floats) -> Floats:
         singular = ~(largest * SETTINGS.singular < 1.0)
     except np.linalg.LinAlgError:
         found, singular = np.empty_like(matrices), np.ones(len(matrices), dtype=np.bool_)
-    found[singular] = np.linalg.pinv(matrices[singular], rcond=SETTINGS.singular)
+    if singular.any():
+        found[singular] = np.linalg.pinv(matrices[singular], rcond=SETTINGS.singular)
     return np.asarray(found)
 
 
@@ -193,7 +202,7 @@ def other_starts(model: PointModel, states: Floats) -> list[Floats]:
 def _differs(model: PointModel, theta: Floats, found: SteadyStates, start: Floats) -> Flags:
     """Return whether each row (K,) has another stable steady state, from start."""
     scale = np.maximum(np.abs(found.states), model.nominals)
-    other = settle(model, theta, start)
+    other = settle(model, theta, start, most_iterations=SETTINGS.other_iterations)
     apart = other.found & (_norm((other.states - found.states) / scale) > SETTINGS.same)
     real = np.linalg.eigvals(np.nan_to_num(other.models.a[0])).real
     return np.asarray(apart & (real < 0.0).all(axis=1))

@@ -17,6 +17,7 @@ import fmuid
 from fmuid import FmuidError, System
 from fmuid.data import RotatingFrame, SteadyExperiment
 from fmuid.simulation import AnySimulator, simulator_of
+from fmuid.simulation.right_hand_side import RightHandSide
 from tests.support.packing import pack
 from tests.support.paths import FMUS
 from tests.support.resting import ADDING, BISTABLE, KINKED, MACHINE, SATURATED, saturated_motor, three_tests
@@ -52,6 +53,20 @@ def test_phasors_are_those_of_the_circuit() -> None:
         experiment = SteadyExperiment(table, outputs=columns, supply=supply)
         simulator = simulator_of(System.of(INDUCTION), experiment, list(MACHINE))
         np.testing.assert_allclose(simulator(list(MACHINE.values())), table[list(columns.values())], rtol=1e-12)
+
+
+def test_phasors_and_their_check_take_one_model(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Points with exact derivatives, and their check by differences."""
+    made, plans = list[RightHandSide](), RightHandSide.__init__
+
+    def counted(self: RightHandSide, *given: Any, **more: Any) -> None:
+        made.append(self)
+        plans(self, *given, **more)
+
+    monkeypatch.setattr(RightHandSide, "__init__", counted)
+    experiment = SteadyExperiment(three_tests(), outputs={"I_rms": "I"}, supply=RotatingFrame(50.0, "U", slip="s"))
+    simulator_of(System.of(INDUCTION), experiment, list(MACHINE))(list(MACHINE.values()))
+    assert len(made) == 2
 
 
 def test_phasors_at_synchronous_speed_are_those_of_the_open_circuit() -> None:
