@@ -181,7 +181,8 @@ def test_what_is_named_in_python_is_there() -> None:
 
 def test_each_figure_says_how_it_is_read() -> None:
     """The names on the page are those that a report can draw, each of them and no other; a new run clears them all."""
-    said = {name for page in ("figures.md", "figures-diagnosis.md") for names, *_ in rows(page, 4) for name in re.findall(r"`(\w+)`", names)}
+    cells = [names for page in ("figures.md", "figures-diagnosis.md") for names, *_ in rows(page, 4)]
+    said = {name for names in cells for name in re.findall(r"`(\w+)`", names)}
     assert said == set(KINDS)
     for module in (ROOT / "fmuid" / "reports" / "topics").glob("*.py"):
         calls = [node for node in ast.walk(ast.parse(module.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]

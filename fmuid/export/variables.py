@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -13,25 +12,9 @@ import casadi as ca
 from fmuid.errors import ModelicaError
 from fmuid.export.explicit_model import ExplicitModel
 from fmuid.export.syntax import Declaration
-from fmuid.formatting import nearest
+from fmuid.units import parse_unit
 
 _BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
-_DERIVED_UNITS = {
-    "N": "kg.m.s-2",
-    "J": "kg.m2.s-2",
-    "W": "kg.m2.s-3",
-    "V": "kg.m2.s-3.A-1",
-    "Ohm": "kg.m2.s-3.A-2",
-    "H": "kg.m2.s-2.A-2",
-    "Wb": "kg.m2.s-2.A-1",
-    "T": "kg.s-2.A-1",
-    "C": "s.A",
-    "F": "kg-1.m-2.s4.A2",
-    "S": "kg-1.m-2.s3.A2",
-    "Hz": "s-1",
-    "Pa": "kg.m-1.s-2",
-    "degC": "K",  # with an offset where it stands alone
-}
 _DISPLAY_UNITS = {"rad": ("deg", 180 / math.pi), "rad/s": ("rpm", 30 / math.pi), "m": ("mm", 1e3), "m/s": ("mm/s", 1e3)}
 """Unit -> display unit, and its number per unit."""
 
@@ -158,28 +141,10 @@ def unit_definitions(system: ExplicitModel) -> list[str]:
 
 def _base_unit(d: Declaration, file: str) -> str:
     """Return the BaseUnit element of a unit such as ``V.s/m``."""
-    exponents = dict.fromkeys(_BASE_UNITS, 0)
-
-    def multiply(product: str, power: int) -> None:
-        for factor in product.split("."):
-            match = re.fullmatch(r"([A-Za-z]+|1)(-?\d+)?", factor)
-            name = match[1] if match else factor
-            exponent = power * int(match[2] or 1) if match else 0
-            if name in exponents:
-                exponents[name] += exponent
-            elif name in _DERIVED_UNITS:
-                multiply(_DERIVED_UNITS[name], exponent)
-            elif factor != "1":
-                known = [*_BASE_UNITS, *_DERIVED_UNITS]
-                raise ModelicaError(
-                    file,
-                    d.line,
-                    f"unit '{d.unit}' of '{d.name}' is outside the exported subset: "
-                    f"write it as in 'V.s/m2' with {', '.join(known)}{nearest(name, known)}",
-                )
-
-    numerator, _, denominator = str(d.unit).partition("/")
-    multiply(numerator, 1)
-    multiply(re.sub(r"^\((.*)\)$", r"\1", denominator) or "1", -1)
-    offset = attribute("offset", "273.15") if d.unit == "degC" else ""
-    return f"<BaseUnit{''.join(attribute(name, str(e)) for name, e in exponents.items() if e)}{offset}/>"
+    unit = parse_unit(str(d.unit)) or parse_unit(f"1.{d.unit}")  # C and F alone: no temperatures in Modelica
+    if unit is None:
+        said = f"unit '{d.unit}' of '{d.name}' is outside the exported subset"
+        raise ModelicaError(file, d.line, f"{said}: write it as in 'V.s/m2'")
+    powers = "".join(attribute(name, str(e)) for name, e in zip(_BASE_UNITS, unit.exponents, strict=True) if e)
+    factor = attribute("factor", unit.factor) if unit.factor != 1.0 else ""
+    return f"<BaseUnit{powers}{factor}{attribute('offset', unit.offset) if unit.offset else ''}/>"
