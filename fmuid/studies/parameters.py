@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import BeforeValidator
 
 from fmuid.data import JointPrior, Normal, Parameter, ParameterSet
@@ -254,3 +255,23 @@ class ParameterReader:
             if name not in result.names:
                 raise words.error(_missing(name, path, result))
         self.sources.append(PriorSource(str(words.place), path, result, tuple(names)))
+
+
+def conditional_prior(prior: JointPrior, known: Mapping[str, float]) -> JointPrior | None:
+    """Return the conditional normal distribution of unknown parameters (1.37)."""
+    there = np.array([name in known for name in prior.names])
+    if not there.any():
+        return prior
+    if there.all():
+        return None
+    left = ~there
+    std = np.sqrt(np.diag(prior.covariance))
+    correlation = prior.covariance / np.outer(std, std)
+    gain = np.linalg.solve(correlation[np.ix_(there, there)], correlation[np.ix_(there, left)]).T
+    away = (np.array([known[name] for name in prior.names if name in known]) - prior.mean[there]) / std[there]
+    matrix = correlation[np.ix_(left, left)] - gain @ correlation[np.ix_(there, left)]
+    return JointPrior(
+        [name for name in prior.names if name not in known],
+        prior.mean[left] + std[left] * (gain @ away),
+        (matrix + matrix.T) / 2.0 * np.outer(std[left], std[left]),
+    )

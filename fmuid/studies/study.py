@@ -18,13 +18,13 @@ from fmuid.events import Progress
 from fmuid.formatting import bounded
 from fmuid.identification import Assessment, AssessmentSettings, Problem, assess, identify, with_quantities
 from fmuid.models import System
-from fmuid.simulation import AnySimulator, OutputFit, fit_of, simulator_of
+from fmuid.simulation import AnySimulator, OutputFit, Value, fit_of, simulator_of
 from fmuid.studies.array_elements import check_shapes
 from fmuid.studies.estimation import EstimationSection, MonitoringSection
 from fmuid.studies.faults import DiagnosisSection
 from fmuid.studies.model import ExperimentSettings, ParsedModel, named
 from fmuid.studies.nameplate import prior_by_nameplate
-from fmuid.studies.parameters import ParameterReader, PriorSource, SourceWarning
+from fmuid.studies.parameters import ParameterReader, PriorSource, SourceWarning, conditional_prior
 from fmuid.studies.section import SectionLocation
 from fmuid.studies.study_file import StudyFile, override
 from fmuid.studies.toml import read_toml
@@ -227,13 +227,33 @@ class Study(HtmlTableMixin):
         if not self.parameters:
             raise InputError(f"{self.path}: parameters: no free parameter. Add one, such as R = {{ start = 4.0 }}.")
 
-    def problem(self, experiments: Sequence[Experiment] | None = None) -> Problem:
+    @cached_property
+    def flat_names(self) -> dict[str, str]:
+        """All parameters with their variables, those per experiment one by one."""
+        names = [each.name for each in self.experiments]
+        return {each.name_in(given, name): name for name, each in self.parameters.items() for given in names}
+
+    def free_parameters(self, held: Mapping[str, Value], starts: Mapping[str, float]) -> dict[str, Parameter]:
+        """Return the parameters that are not held, some with other initial guesses."""
+        free = {name: each for name, each in self.parameters.items() if name not in held}
+        return {name: replace(each, start=starts[name]) if name in starts else each for name, each in free.items()}
+
+    def problem(
+        self,
+        experiments: Sequence[Experiment] | None = None,
+        held: Mapping[str, Value] | None = None,
+        starts: Mapping[str, float] | None = None,
+    ) -> Problem:
         """Return the least-squares problem of the study.
 
         Parameters
         ----------
         experiments : sequence of Experiment, optional
             Default: all of them.
+        held : mapping of str to value, optional
+            Further fixed variables; parameters among them are not free.
+        starts : mapping of str to float, optional
+            Other initial guesses.
 
         Raises
         ------
@@ -242,17 +262,20 @@ class Study(HtmlTableMixin):
         """
         self.check_parameters()
         _ = self.notes  # refuses results of another model
-        tables = self.tables if experiments is None else experiments
+        tables, held, prior = self.tables if experiments is None else experiments, held or {}, self.joint_prior
+        if prior is not None and held:
+            known = {flat: float(held[name]) for flat, name in self.flat_names.items() if name in held}
+            prior = conditional_prior(prior, known)
         problem = Problem(
             self.system,
             tables,
-            self.parameters,
+            self.free_parameters(held, starts or {}),
             noise=self.noise.among([each.name for each in tables]),
-            values=self.model.values,
-            joint_prior=self.joint_prior,
+            values={**self.model.values, **held},
+            joint_prior=prior,
             loss=self.estimation.loss,
             sensitivity=self.estimation.jacobian,
-            choices=self.model.choices,
+            choices={name: few for name, few in self.model.choices.items() if name not in held},
         )
         return self.estimation.observed(problem)
 

@@ -24,7 +24,7 @@ from fmuid.data import ParameterSet
 from fmuid.errors import InputError
 from fmuid.estimation import spans_decades
 from fmuid.files import full, is_file
-from fmuid.runs.batch.case_problem import check_model, flat_names, truth_values
+from fmuid.runs.batch.case_problem import check_model, truth_values
 from fmuid.studies import SpaceFillingSection, Study, Value
 
 # Purposes of random numbers.
@@ -57,7 +57,7 @@ class CaseList:
             raise InputError(f"{study.path}: no [batch]. Add it, with data, starting_points, sweep or monte_carlo.")
         study.check_parameters()
         self.study, self.settings = study, study.batch
-        self.names = tuple(flat_names(study))  # all parameters, those per experiment one by one
+        self.names = tuple(study.flat_names)  # all parameters, those per experiment one by one
         self._records = list(self.settings.records().items())
         self._free = tuple(name for name in study.parameters if name not in self.settings.swept)
         self._axes = {word: axis for word, axis in self._all_axes().items() if axis[0]}
@@ -224,7 +224,7 @@ def truth_of(study: Study) -> dict[str, float]:
     truth = truth_values(study, {})
     return {
         flat: float(truth[flat])
-        for flat, name in flat_names(study).items()
+        for flat, name in study.flat_names.items()
         if name not in batch.swept or {flat, name} & set(batch.monte_carlo.true_values)
     }
 

@@ -3,25 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 
-from fmuid.data import Experiment, JointPrior, time_name
+from fmuid.data import Experiment, time_name
 from fmuid.errors import InputError
 from fmuid.identification import Problem
 from fmuid.simulation import AnySimulator, simulator_of
 from fmuid.studies import BatchSettings, ExperimentSettings, Study, Value
 
 Values = Mapping[str, Value]
-
-
-def flat_names(study: Study) -> dict[str, str]:
-    """Return all parameters with their variables, those per experiment one by one."""
-    return {
-        each.name_in(given.name, name): name for name, each in study.parameters.items() for given in study.experiments
-    }
 
 
 def problem_of(
@@ -37,55 +29,17 @@ def problem_of(
     Parameters that are not `free` are held at the study's starts; `held` and `starts` replace values of the study.
     `like` is a problem with the same inputs, free parameters and held values, whose simulators serve again.
     """
-    known: dict[str, Value] = {name: each.start for name, each in study.parameters.items() if name not in free}
-    known |= held
-    parameters = {
-        name: replace(study.parameters[name], start=starts[name]) if name in starts else study.parameters[name]
-        for name in free
-    }
+    known = {name: each.start for name, each in study.parameters.items() if name not in free} | dict(held)
     if like is not None:
-        return like.measuring(experiments, parameters)
-    joint = study.joint_prior
-    if joint is not None:
-        joint = _given(joint, {flat: float(known[name]) for flat, name in flat_names(study).items() if name in known})
-    return Problem(
-        study.system,
-        experiments,
-        parameters,
-        noise=study.noise,
-        values={**study.model.values, **known},
-        joint_prior=joint,
-        loss=study.estimation.loss,
-        sensitivity=study.estimation.jacobian,
-        choices={name: few for name, few in study.model.choices.items() if name not in known},
-    )
-
-
-def _given(prior: JointPrior, known: Mapping[str, float]) -> JointPrior | None:
-    """Return the conditional normal distribution of unknown parameters (1.37)."""
-    there = np.array([name in known for name in prior.names])
-    if not there.any():
-        return prior
-    if there.all():
-        return None
-    left = ~there
-    std = np.sqrt(np.diag(prior.covariance))
-    correlation = prior.covariance / np.outer(std, std)
-    gain = np.linalg.solve(correlation[np.ix_(there, there)], correlation[np.ix_(there, left)]).T
-    away = (np.array([known[name] for name in prior.names if name in known]) - prior.mean[there]) / std[there]
-    matrix = correlation[np.ix_(left, left)] - gain @ correlation[np.ix_(there, left)]
-    return JointPrior(
-        [name for name in prior.names if name not in known],
-        prior.mean[left] + std[left] * (gain @ away),
-        (matrix + matrix.T) / 2.0 * np.outer(std[left], std[left]),
-    )
+        return like.measuring(experiments, study.free_parameters(known, starts))
+    return study.problem(experiments, known, starts)
 
 
 def truth_values(study: Study, held: Values) -> dict[str, Value]:
     """Return all true values: of ``true_values``, else held, else the start of the parameter."""
     drawn = study.batch.monte_carlo if study.batch is not None else None
     given = {} if drawn is None else drawn.true_values
-    flat = flat_names(study)
+    flat = study.flat_names
     found: dict[str, Value] = {
         full: given.get(full, given.get(name, held.get(name, study.parameters[name].start)))
         for full, name in flat.items()
@@ -98,7 +52,7 @@ def truth_simulators(
     study: Study, experiments: Sequence[Experiment], truth: Values
 ) -> list[tuple[AnySimulator, list[float]]]:
     """Return a simulator of the truth for each experiment, and its parameters."""
-    flat, names = flat_names(study), tuple(study.parameters)
+    flat, names = study.flat_names, tuple(study.parameters)
     values = {**study.model.values, **{name: value for name, value in truth.items() if name not in flat}}
     found = []
     for given, experiment in zip(study.experiments, experiments, strict=True):
@@ -109,7 +63,7 @@ def truth_simulators(
 
 def check_model(study: Study, settings: BatchSettings, subsets: Sequence[Sequence[str]], held: Values) -> None:
     """Check that model, study and batch fit together, without any table."""
-    experiments = [_unmeasured(given, 2 + len(flat_names(study))) for given in study.experiments]
+    experiments = [_unmeasured(given, 2 + len(study.flat_names)) for given in study.experiments]
     problem_of(study, experiments, tuple(study.parameters), {}, {})  # what is wrong without the batch, as the study's
     try:
         for free in subsets:
