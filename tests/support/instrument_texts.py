@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from itertools import chain, repeat
+
 import pandas as pd
+
+from tests.support.text_rows import fields, tables
 
 LABVIEW = """LabVIEW Measurement\t
 Writer_Version\t2
@@ -88,97 +92,68 @@ Unit ScaleFactor\t1\tUnit ScaleFactor\t1\t1
 """
 
 
-def lines(frame: pd.DataFrame, separator: str = ",", decimal: str = ".", before: str = "", after: str = "") -> str:
-    """Return the rows of a frame."""
-    rows = [separator.join(repr(cell).replace(".", decimal) for cell in row) for row in frame.to_numpy().tolist()]
-    return "".join(f"{before}{row}{after}\n" for row in rows)
-
-
-def labview(columns: str, rows: str, decimal: str = ".") -> str:
-    """Return a text of LabVIEW with one column of times, none ("No"), or one each ("Multi")."""
+def labview(columns: str, decimal: str = ".") -> str:
+    """Return the head of LabVIEW with one column of times, none ("No"), or one each ("Multi")."""
     names = "X_Value\tu\tX_Value\ti\tX_Value\tw" if columns == "Multi" else "X_Value\tu\ti\tw"
-    return LABVIEW.format(decimal=decimal, columns=columns) + names + "\tComment\n" + rows
+    return LABVIEW.format(decimal=decimal, columns=columns) + names + "\tComment\n"
+
+
+ROW, TABS = "{t},{u},{i},{w}", "{t}\t{u}\t{i}\t{w}"
+INCA = "ETASAsciiItemFile\trecord\tTab\n\ntime\tu\ti\tw\ns\tV\tA\trad/s\n"
+TABLES = {
+    "LabVIEW": ("a.lvm", labview("One"), TABS),
+    "LabVIEW, German": ("a.lvm", labview("One", ","), TABS.upper()),
+    "LabVIEW without times": ("a.lvm", labview("No"), "\t{u}\t{i}\t{w}"),
+    "LabVIEW, times again": ("a.lvm", labview("Multi"), "{t}\t{u}\t{t}\t{i}\t{t}\t{w}"),
+    "Tektronix MSO": ("a.csv", TEKTRONIX, ROW),
+    "Yokogawa": ("a.csv", YOKOGAWA, ",{u},{ma},{rpm}"),
+    "Yokogawa WT": (
+        "a.csv", "Store No.,Date,Time,Millisecond,u,i,w\n", "{k},{d:%Y/%m/%d},{d:%H:%M:%S},{m},{u},{i},{w}",
+    ),
+    "Keysight 34970A": ("a.csv", KEYSIGHT, "{k},{d:%m/%d/%Y %H:%M:%S}:{m:03d},{u},{i},{w}"),
+    "Graphtec": ("a.csv", GRAPHTEC, "{k},{d:%Y/%m/%d %H:%M:%S},{m},{u},{i},{w},LL"),
+    "Siglent": ("a.csv", "Sample Interval,0.01\nSource,u,i,w\nSecond,Volt,Ampere,rad/s\n", ROW),
+    "Rigol": ("a.csv", "X,u,i,w,Start,Increment,\nSequence,V,A,rad/s,0.0e+00,1.0e-02,\n", "{k},{u},{i},{w},,"),
+    "PicoScope": ("a.csv", "Time,u,i,w\n(ms),(V),(A),(rad/s)\n\n", "{ms},{u},{i},{w}"),
+    "catman": ("a.asc", CATMAN, TABS.upper()),
+    "DEWESoft": ("a.csv", DEWESOFT, ROW),
+    "Rohde & Schwarz": ("a.csv", "in s,u in V,i in A,w in rad/s\n", ROW),
+    "Hioki": ("a.csv", 'HIOKI 8861 DATA\nTITLE,"x"\n"Time","u[V]","i[A]","w[rad/s]"\n', ROW),
+    "INCA": ("a.ascii", INCA, TABS),
+    "ANSYS": ("a.tab", '"Time [ms]"\t"u [V]"\t"i [A]"\t"w [rad/s]"\n', "{ms}\t{u}\t{i}\t{w}"),
+    "PSIM": ("a.txt", "Time       u       i     w\n", " {t}   {u}   {i}   {w}"),
+    "timetable of MATLAB": ("a.csv", "Time,u,i,w\n", "{t} sec,{u},{i},{w}"),
+    "date and time of Germany": ("a.csv", "Datum;Uhrzeit;u;i;w\n", "{d:%d.%m.%Y};{d:%H:%M:%S},{m:03d};{U};{I};{W}"),
+    "date and time of the US": (
+        "a.csv", "Date,Time,u,i,w\n", "{d:%m/%d/%Y},{d:%I:%M:%S}.{m:03d} {d:%p},{u},{i},{w}",
+    ),
+    "TwinCAT Scope": ("a.csv", TWINCAT, "{ms}\t{u}\t{ms}\t{i}\t{w}", "EOF\n"),
+    "days of spreadsheets": ("a.csv", "Date,u,i,w\n", "{days},{u},{i},{w}"),
+    "CombiTimeTable": ("a.txt", "#1\n# time u i w\ndouble tab1(120,4)\n", "{t} {u} {i} {w}"),
+    # --- one channel, or names that are numbers: other names than the model's ---
+    "Tektronix TDS": ("F0000CH1.CSV", "", "{t},{i},"),
+    "Keysight InfiniiVision": ("a.csv", "x-axis,1,2,3\nsecond,Volt,Ampere,Volt\n", ROW),
+    # --- refused ---
+    "two Modelica tables": ("a.txt", "#1\ndouble tab1(120,4)\n", "{t} {u} {i} {w}", "double tab2(2,2)\n0 1\n1 2\n"),
+    "one block below another": ("a.csv", "time,u,i,w\n", ROW),
+    "percent in cells": ("a.csv", "time,u,i,w\n", f"{ROW} %"),
+}  # fmt: skip
+"""File name, head, format of a row and end, of each text with one line a row."""
+SETTINGS = ("Record Length,120,", "Sample Interval,0.01,", "Source,i,", "Vertical Units,A,", "Horizontal Units,s,")
 
 
 def texts(frame: pd.DataFrame, dates: pd.Series) -> dict[str, tuple[str, str]]:
-    """Return file name and text of each instrument, of a record of time, u, i, w in steps of 10 ms."""
-    bare, ms = frame[["u", "i", "w"]], frame.assign(time=1e3 * frame["time"])
-    mixed = bare.assign(i=1e3 * bare["i"], w=bare["w"] * 9.549296585513721)
-    rows = lines(bare).splitlines()
-    days = [f"{each:%Y/%m/%d %H:%M:%S}" for each in dates]
-    parts = [each.microsecond // 1000 for each in dates]
-    dated = list(enumerate(zip(days, parts, rows, strict=True)))
-    stamped = list(zip(dates, parts, rows, strict=True))
-    timed = zip(frame["time"].tolist(), rows, strict=True)
-    repeated = pd.concat([frame["time"], frame["u"], frame["time"], frame["i"], frame["time"], frame["w"]], axis=1)
-    settings = ["Record Length,120,", "Sample Interval,0.01,", "Source,i,", "Vertical Units,A,", "Horizontal Units,s,"]
-    single = lines(frame[["time", "i"]]).splitlines()
-    return {
-        "LabVIEW": ("a.lvm", labview("One", lines(frame, "\t"))),
-        "LabVIEW, German": ("a.lvm", labview("One", lines(frame, "\t", ","), ",")),
-        "LabVIEW without times": ("a.lvm", labview("No", lines(bare, "\t", before="\t"))),
-        "LabVIEW, times again": ("a.lvm", labview("Multi", lines(repeated, "\t"))),
-        "Tektronix MSO": ("a.csv", TEKTRONIX + lines(frame)),
-        "Yokogawa": ("a.csv", YOKOGAWA + lines(mixed, before=",")),
-        "Yokogawa WT": (
-            "a.csv",
-            "Store No.,Date,Time,Millisecond,u,i,w\n"
-            + "".join(f"{k},{day.replace(' ', ',')},{part},{row}\n" for k, (day, part, row) in dated),
-        ),
-        "Keysight 34970A": (
-            "a.csv",
-            KEYSIGHT
-            + "".join(f"{k},{d[5:10]}/{d[:4]}{d[10:]}:{part:03d},{row}\n" for k, (d, part, row) in dated),
-        ),
-        "Graphtec": ("a.csv", GRAPHTEC + "".join(f"{k},{day},{part},{row},LL\n" for k, (day, part, row) in dated)),
-        "Siglent": ("a.csv", "Sample Interval,0.01\nSource,u,i,w\nSecond,Volt,Ampere,rad/s\n" + lines(frame)),
-        "Rigol": (
-            "a.csv",
-            "X,u,i,w,Start,Increment,\nSequence,V,A,rad/s,0.0e+00,1.0e-02,\n"
-            + "".join(f"{k},{r},,\n" for k, r in enumerate(rows)),
-        ),
-        "PicoScope": ("a.csv", "Time,u,i,w\n(ms),(V),(A),(rad/s)\n\n" + lines(ms)),
-        "catman": ("a.asc", CATMAN + lines(frame, "\t", ",")),
-        "DEWESoft": ("a.csv", DEWESOFT + lines(frame)),
-        "Rohde & Schwarz": ("a.csv", "in s,u in V,i in A,w in rad/s\n" + lines(frame)),
-        "Hioki": ("a.csv", 'HIOKI 8861 DATA\nTITLE,"x"\n"Time","u[V]","i[A]","w[rad/s]"\n' + lines(frame)),
-        "INCA": ("a.ascii", "ETASAsciiItemFile\trecord\tTab\n\ntime\tu\ti\tw\ns\tV\tA\trad/s\n" + lines(frame, "\t")),
-        "ANSYS": ("a.tab", '"Time [ms]"\t"u [V]"\t"i [A]"\t"w [rad/s]"\n' + lines(ms, "\t")),
-        "PSIM": ("a.txt", "Time       u       i     w\n" + lines(frame, "   ", before=" ")),
-        "timetable of MATLAB": ("a.csv", "Time,u,i,w\n" + "".join(f"{t!r} sec,{row}\n" for t, row in timed)),
-        "date and time of Germany": (
-            "a.csv",
-            "Datum;Uhrzeit;u;i;w\n"
-            + "".join(
-                f"{each:%d.%m.%Y};{each:%H:%M:%S},{p:03d};{r}\n"
-                for each, p, r in zip(dates, parts, lines(bare, ";", ",").splitlines(), strict=True)
-            ),
-        ),
-        "date and time of the US": (
-            "a.csv",
-            "Date,Time,u,i,w\n"
-            + "".join(
-                f"{each:%m/%d/%Y},{each:%I:%M:%S}.{part:03d} {each:%p},{row}\n" for each, part, row in stamped
-            ),
-        ),
-        "TwinCAT Scope": ("a.csv", TWINCAT + lines(ms.iloc[:, [0, 1, 0, 2, 3]], "\t") + "EOF\n"),
-        "days of spreadsheets": ("a.csv", "Date,u,i,w\n" + lines(frame.assign(time=46348.4375 + ms["time"] / 864e5))),
-        "CombiTimeTable": ("a.txt", "#1\n# time u i w\ndouble tab1(120,4)\n" + lines(frame, " ")),
+    """Return file name and text of each instrument."""
+    found = tables(fields(frame, dates), TABLES)
+    file, plain = found["Tektronix TDS"]
+    heads = chain(SETTINGS, repeat(",,"))
+    found["Tektronix TDS"] = (file, "".join(f"{next(heads)},{line}" for line in plain.splitlines(keepends=True)))
+    file, block = found["one block below another"]
+    return found | {
         "JSON lines": ("a.jsonl", frame.to_json(orient="records", lines=True, double_precision=15)),
         "JSON, split": ("a.json", frame.to_json(orient="split", double_precision=15)),
         "JSON, index": ("a.json", frame.to_json(orient="index", double_precision=15)),
         "JSON, table": ("a.json", frame.to_json(orient="table", index=False, double_precision=15)),
-        # --- one channel, or names that are numbers: other names than the model's ---
-        "Tektronix TDS": (
-            "F0000CH1.CSV",
-            "".join(f"{settings[k] if k < len(settings) else ',,'},{row},\n" for k, row in enumerate(single)),
-        ),
-        "Keysight InfiniiVision": ("a.csv", "x-axis,1,2,3\nsecond,Volt,Ampere,Volt\n" + lines(frame)),
-        # --- refused ---
-        "two Modelica tables": (
-            "a.txt", "#1\ndouble tab1(120,4)\n" + lines(frame, " ") + "double tab2(2,2)\n0 1\n1 2\n"
-        ),
-        "one block below another": ("a.csv", "time,u,i,w\n" + lines(frame) + "time,u,i,w\n" + lines(frame)),
-        "percent in cells": ("a.csv", "time,u,i,w\n" + lines(frame, after=" %")),
+        "one block below another": (file, 2 * block),
         "rows are columns": ("a.csv", "".join(f"{c},{','.join(map(repr, frame[c].tolist()))}\n" for c in frame)),
-    }  # fmt: skip
+    }

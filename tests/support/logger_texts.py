@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pandas as pd
 
+from tests.support.text_rows import fields, tables
+
 TOA5 = """"TOA5","rig","CR1000","1","CR1000.Std.16","CPU:rig.CR1","6524","Table"
 "TIMESTAMP","RECORD","u","i","w"
 "TS","RN","V","A","rad/s"
@@ -42,28 +44,22 @@ ARBIN = "Data Point,Date Time,Test Time (s),Step Time (s),u (V),i (A),w\n"
 APART = "Date,Time,u [V],i [A],w[rad/s]\n"
 
 
+MACCOR_ROW = (
+    "{k}\t  0d 00:00:{c}\t  0d 00:00:{again:05.2f}\t{u}\t{i}\t{w}\tR\t{d:%m/%d/%Y %H:%M:%S}\t2.1\t C  \t2.2\t C  "
+)
+TABLES = {
+    "Campbell TOA5": ("a.dat", TOA5, '"{d:%Y-%m-%d %H:%M:%S.%f}",{k},{u},{i},{w}'),
+    "BioLogic": ("a.mpt", BIOLOGIC, "1\t{t:.15E}\t{again:.15E}\t{u}\t{i}\t{w}"),
+    "Arbin": ("a.csv", ARBIN, "{k},\t{d:%m/%d/%Y %H:%M:%S.%f},{t},{again},{u},{i},{w}"),
+    "Maccor": ("a.txt", MACCOR, MACCOR_ROW),
+    "Gamry": ("a.DTA", GAMRY, "\t{k}\t{t}\t{u}\t{i}\t{w}\t..........."),
+    "Novonix": ("a.csv", NOVONIX, "{d:%Y-%m-%d %H:%M:%S},1,{h},0.1,{u},{i},{w}"),
+    "PEC": ("a.csv", PEC, "25195,1,34_6,00:00:{c},00:00:{again:06.3f},{u},{i},{w}"),
+    "Neware": ("a.csv", NEWARE, "{k},Rest,00:00:{again:06.3f},00:00:{c},{u},{i},{w}"),
+    "date and time apart": ("a.csv", APART, "{d:%d.%m.%Y},{d:%H:%M:%S.%f},{u},{i},{w}"),
+}
+
+
 def texts(frame: pd.DataFrame, dates: pd.Series) -> dict[str, tuple[str, str]]:
-    """Return file name and text of each logger, of a record of time, u, i, w in steps of 10 ms."""
-    rows: list[list[float]] = frame[["time", "u", "i", "w"]].to_numpy().tolist()
-    again = [k % 40 / 100 for k in range(len(rows))]
-    clock = [f"00:00:{row[0]:06.3f}" for row in rows]
-
-    def table(head: str, form: str) -> str:
-        """Return a text with one line a row."""
-        return head + "".join(
-            form.format(k=k, t=t, h=t / 3600, s=again[k], c=clock[k], d=date, u=u, i=i, w=w) + "\n"
-            for k, ((t, u, i, w), date) in enumerate(zip(rows, dates, strict=True))
-        )
-
-    maccor = "{k}\t  0d {c}\t  0d 00:00:{s:05.2f}\t{u}\t{i}\t{w}\tR\t{d:%m/%d/%Y %H:%M:%S}\t2.1\t C  \t2.2\t C  "
-    return {
-        "Campbell TOA5": ("a.dat", table(TOA5, '"{d:%Y-%m-%d %H:%M:%S.%f}",{k},{u},{i},{w}')),
-        "BioLogic": ("a.mpt", table(BIOLOGIC, "1\t{t:.15E}\t{s:.15E}\t{u}\t{i}\t{w}")),
-        "Arbin": ("a.csv", table(ARBIN, "{k},\t{d:%m/%d/%Y %H:%M:%S.%f},{t},{s},{u},{i},{w}")),
-        "Maccor": ("a.txt", table(MACCOR, maccor)),
-        "Gamry": ("a.DTA", table(GAMRY, "\t{k}\t{t}\t{u}\t{i}\t{w}\t...........")),
-        "Novonix": ("a.csv", table(NOVONIX, "{d:%Y-%m-%d %H:%M:%S},1,{h},0.1,{u},{i},{w}")),
-        "PEC": ("a.csv", table(PEC, "25195,1,34_6,{c},00:00:{s:06.3f},{u},{i},{w}")),
-        "Neware": ("a.csv", table(NEWARE, "{k},Rest,00:00:{s:06.3f},{c},{u},{i},{w}")),
-        "date and time apart": ("a.csv", table(APART, "{d:%d.%m.%Y},{d:%H:%M:%S.%f},{u},{i},{w}")),
-    }
+    """Return file name and text of each logger."""
+    return tables(fields(frame, dates), TABLES)
