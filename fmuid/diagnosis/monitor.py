@@ -19,7 +19,7 @@ from fmuid.diagnosis.causes import CauseKind, Causes
 from fmuid.diagnosis.faults import Fault, checked_faults
 from fmuid.diagnosis.information_matrix import ChangePrior
 from fmuid.diagnosis.linearized_machine import LinearizedMachine
-from fmuid.diagnosis.monitor_store import STATE_FILE, MonitorStore, Resumed, damage_of
+from fmuid.diagnosis.monitor_store import STATE_FILE, MonitorSnapshot, MonitorStore, damage_of
 from fmuid.diagnosis.onset_tracker import OnsetTracker
 from fmuid.diagnosis.rule import MODEL_ERROR, Rule
 from fmuid.diagnosis.window_evaluation import MonitorReference, MonitorState, WindowEvaluation
@@ -93,7 +93,7 @@ class Monitor:
         self._journal: MonitorStore | None = None
         self._against: MonitorReference | None = None
         self._machine: LinearizedMachine | None = None
-        self._resumed = Resumed()
+        self._resumed = MonitorSnapshot()
         self._now = MonitorState(OnsetTracker(ChangePrior(np.zeros(0), np.zeros((0, 0))), np.zeros(0)), np.zeros(0))
 
     @single_threaded
@@ -273,14 +273,14 @@ class Monitor:
         return dict(self._present.units)
 
     @property
-    def _present(self) -> Resumed:
+    def _present(self) -> MonitorSnapshot:
         """State to resume; before the first record that of the earlier run."""
         if self._against is None:
             return self._resumed
         each, plain = self._against.coordinates.each, (CauseKind.FAULT, CauseKind.PARAMETER)
         columns = tuple(one.name for one in each if one.kind not in plain)
         sums = {"point": self._now.point, **self._now.watch.state()}
-        return Resumed(sums, {}, {one.name: one.unit for one in each if not one.second}, columns)
+        return MonitorSnapshot(sums, {}, {one.name: one.unit for one in each if not one.second}, columns)
 
     def write(
         self,

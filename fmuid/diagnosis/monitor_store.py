@@ -39,7 +39,7 @@ KINDS: Mapping[str, Callable[[str], Any]] = {
 
 
 @dataclass(frozen=True)
-class Resumed:
+class MonitorSnapshot:
     """State of an earlier run beside its records, windows and alarms."""
 
     sums: Mapping[str, Any] = field(default_factory=dict)  # arrays of its onsets; empty before any record
@@ -76,7 +76,7 @@ class MonitorStore:
         content: Mapping[str, Any],
         lines: Sequence[str],
         same: Mapping[str, Any],
-        resumed: Resumed,
+        resumed: MonitorSnapshot,
     ) -> list[Path]:
         """Write new rows, lines of alarms, the JSON `content` and the state; return the paths but for the state's."""
         table = now.table()
@@ -115,7 +115,9 @@ class MonitorStore:
         if text:
             note(path)
 
-    def read(self, now: MonitorState, same: Mapping[str, Any], rows: int | None) -> tuple[MonitorState, Resumed]:
+    def read(
+        self, now: MonitorState, same: Mapping[str, Any], rows: int | None
+    ) -> tuple[MonitorState, MonitorSnapshot]:
         """Return the state of an earlier run; `rows` limits its table (None: all)."""
         path = self.folder / STATE_FILE
         if not is_file(path):
@@ -124,7 +126,7 @@ class MonitorStore:
             sums = read_arrays(path)
             earlier = from_json(_State, json.loads(sums.pop("text").tobytes()))
         if not earlier.windows:  # nothing was found, whatever the run was of
-            return now, Resumed()
+            return now, MonitorSnapshot()
         if earlier.same != as_json(same):
             if earlier.version != __version__:
                 raise DamagedStateError(path, f"written by fmuid {earlier.version}, this is {__version__}")
@@ -134,7 +136,9 @@ class MonitorStore:
         table = _table(self.folder / TABLE_FILE, self._lengths[TABLE_FILE], self._rows, rows)
         forgotten = self._rows - len(table)
         found = replace(now, records=earlier.records, tables=(table,), alarms=earlier.alarms, row=self._rows)
-        return replace(found, forgotten=forgotten), Resumed(sums, earlier.beside, earlier.units, earlier.columns)
+        return replace(found, forgotten=forgotten), MonitorSnapshot(
+            sums, earlier.beside, earlier.units, earlier.columns
+        )
 
 
 class DamagedStateError(InputError):

@@ -16,7 +16,7 @@ from scipy.linalg.lapack import dtbtrs
 from fmuid.array_types import Floats
 from fmuid.estimation import LeastSquares, Result
 from fmuid.identification.line_directions import is_estimated, line_errors
-from fmuid.identification.linearized_record import Forcing, LinearizedRecord, both_ends
+from fmuid.identification.linearized_record import LinearizedRecord, StateForcing, both_ends
 from fmuid.identification.model_errors import CHANGING, Direction, ErrorKind, Sizes
 from fmuid.identification.output_directions import (
     SETTINGS,
@@ -197,23 +197,23 @@ def _lagging(outputs: Floats, middle: Floats, samples: float) -> Floats:
     return np.asarray(dtbtrs(banded, driven, uplo="L")[0][::2] + outputs[0])
 
 
-def _input_change(record: LinearizedRecord, column: int, change: Floats) -> Forcing:
+def _input_change(record: LinearizedRecord, column: int, change: Floats) -> StateForcing:
     """Return the forcing of a change (P,) of an input."""
     direct = record.at_samples(record.outputs_by_input[column] * change[:, None])
-    return Forcing(record.by_input[column] * change[:, None], direct)
+    return StateForcing(record.by_input[column] * change[:, None], direct)
 
 
-def _sum_of(parts: Sequence[Forcing]) -> Forcing:
+def _sum_of(parts: Sequence[StateForcing]) -> StateForcing:
     """Return the sum of changes of inputs."""
     rates, outputs = (np.sum([getattr(each, part) for each in parts], axis=0) for part in ("rates", "outputs"))
-    return Forcing(rates, outputs)
+    return StateForcing(rates, outputs)
 
 
 def _of_inputs(
     record: LinearizedRecord, simulated: Floats, units: Mapping[str, str]
-) -> Iterator[tuple[Direction, Forcing]]:
+) -> Iterator[tuple[Direction, StateForcing]]:
     """Yield errors of the inputs; interpolation also of all that are held, or are not."""
-    experiment, alike = record.experiment, dict[bool, dict[str, Forcing]]()
+    experiment, alike = record.experiment, dict[bool, dict[str, StateForcing]]()
     for j, name in enumerate(experiment.input_names):
         values, ends = experiment.input_values[:, j], record.input_ends[:, j]
         if not values.any():
@@ -239,7 +239,7 @@ def _of_inputs(
 
 def _of_lines(
     record: LinearizedRecord, simulator: Simulator, simulated: Floats, units: Mapping[str, str]
-) -> Iterator[tuple[Direction, Forcing]]:
+) -> Iterator[tuple[Direction, StateForcing]]:
     """Yield errors of line voltages, and of the inputs that are none."""
     observed = simulator.observed
     assert observed is not None, "an observation was asked for"
@@ -259,7 +259,7 @@ def _of_lines(
         yield made, _sum_of(parts)
 
 
-def _input_delays(record: LinearizedRecord, column: int, rise: Floats) -> Iterator[tuple[Direction, Forcing]]:
+def _input_delays(record: LinearizedRecord, column: int, rise: Floats) -> Iterator[tuple[Direction, StateForcing]]:
     """Yield the delay of an input by a sample; of a held one it moves impulses."""
     subject = (record.experiment.input_names[column],)
     if not record.experiment.held[column]:
@@ -272,13 +272,13 @@ def _input_delays(record: LinearizedRecord, column: int, rise: Floats) -> Iterat
     slope, h, none = record.by_input[column], np.diff(record.times)[:, None], np.zeros_like(record.rates)
     before, after = np.concatenate([[0.0], rise[:-1]]), rise
     begin, end = -h * slope[::2] * before[:, None], h * slope[1::2] * after[:, None]
-    yield Direction(ErrorKind.INPUT_DELAY, subject, "samples", SETTINGS.delay, True), Forcing(none, begin=begin)
-    yield Direction(ErrorKind.INPUT_ADVANCE, subject, "samples", SETTINGS.delay, True), Forcing(none, end=end)
+    yield Direction(ErrorKind.INPUT_DELAY, subject, "samples", SETTINGS.delay, True), StateForcing(none, begin=begin)
+    yield Direction(ErrorKind.INPUT_ADVANCE, subject, "samples", SETTINGS.delay, True), StateForcing(none, end=end)
 
 
 def _dead_times(
     record: LinearizedRecord, simulated: Floats, units: Mapping[str, str]
-) -> Iterator[tuple[Direction, Forcing]]:
+) -> Iterator[tuple[Direction, StateForcing]]:
     """Yield dead times of inputs, alone and along their common vector; a refit has corrected the outputs."""
     experiment, ends = record.experiment, both_ends(simulated)
     pairs = {
@@ -330,7 +330,7 @@ def driven_outputs(record: LinearizedRecord) -> dict[int, int]:
 
 def _of_parameters(
     record: LinearizedRecord, simulator: Simulator, units: Mapping[str, str]
-) -> Iterator[tuple[Direction, Forcing]]:
+) -> Iterator[tuple[Direction, StateForcing]]:
     """Yield parameters that depend on amplitudes, or change in time."""
     times = both_ends(record.times)
     ramp = (times - times.mean()) / np.ptp(times)
@@ -359,15 +359,15 @@ def _of_parameters(
             rates = size * record.by_parameter[i] * signal[:, None]
             direct = record.at_samples(size * record.outputs_by_parameter[i] * signal[:, None])
             if rates.any() or direct.any():
-                yield Direction(kind, (parameter, *names), "", usual), Forcing(rates, direct)
+                yield Direction(kind, (parameter, *names), "", usual), StateForcing(rates, direct)
 
 
 def _of_initial_states(
     record: LinearizedRecord, simulator: Simulator, experiments: int
-) -> Iterator[tuple[Direction, Forcing]]:
+) -> Iterator[tuple[Direction, StateForcing]]:
     """Yield the initial value of each state, of each experiment."""
     for name, axis, values in zip(record.states, np.eye(len(record.states)), record.trajectory.T, strict=True):
         usual = SETTINGS.initial * max(float(np.ptp(values)), 1e-300)
         subject = (name,) if experiments == 1 else (name, simulator.experiment.name)
         made = Direction(ErrorKind.INITIAL_STATE, subject, simulator.system.unit(name) or "", usual)
-        yield made, Forcing(np.zeros_like(record.rates), initial=axis)
+        yield made, StateForcing(np.zeros_like(record.rates), initial=axis)

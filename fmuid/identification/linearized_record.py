@@ -29,7 +29,7 @@ SETTINGS = LinearizationSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class Forcing:
+class StateForcing:
     """Change of rates and outputs, and jumps of the state."""
 
     rates: Floats  # (P, n_x) at P = 2 (K − 1) points: begin and end of each interval
@@ -120,7 +120,7 @@ class LinearizedRecord:
         transition, by_rate = (each.mean(axis=0) for each in self._steps[:2])
         return DiscreteStateSpace(transition, by_rate, self.observed.mean(axis=0))
 
-    def response(self, forcings: list[Forcing]) -> Floats:
+    def response(self, forcings: list[StateForcing]) -> Floats:
         """Return the change of the outputs (m, K, n_y) by each forcing."""
         e, one, two = self._steps
         count, width = len(self.times), len(forcings)
@@ -153,7 +153,7 @@ class LinearizedRecord:
     def sensitivities(self) -> Floats:
         """Return ∂y/∂θ (N, K, n_y) of the linearized model."""
         rows = zip(self.by_parameter, self.outputs_by_parameter, self.initial_by_parameter, strict=True)
-        return self.response([Forcing(f, self.at_samples(y), initial=x) for f, y, x in rows])
+        return self.response([StateForcing(f, self.at_samples(y), initial=x) for f, y, x in rows])
 
     def at_samples(self, ends: Floats) -> Floats:
         """Return values (K, …) at the samples from those at both ends (P, …): the begin of each interval."""

@@ -24,13 +24,55 @@ def written(tmp_path: Path, text: str | bytes, name: str = "run.csv") -> Path:
     return path
 
 
-def test_csv_with_names_as_they_are_and_empty_cells(tmp_path: Path) -> None:
-    path = written(tmp_path, '\ufeff\ntime, u,"x[1,2]",der(y)\n0,1.5,2,\n0.1,2.5,3,0.30000000000000004\n')
-    table = read_data(path)
-    assert list(table.columns) == ["time", "u", "x[1,2]", "der(y)"]
-    np.testing.assert_array_equal(table["x[1,2]"], [2, 3])
-    assert np.isnan(table["der(y)"][0])
-    assert table["der(y)"][1] == pytest.approx(0.30000000000000004, rel=1e-15)
+NAN = np.nan
+SIGNALS = "".join(f"{k},a b,{k},V\n{k},c,{2 * k},mA\n" for k in range(4))
+WITHIN = "".join(f"{k % 5},01.01.2026 10:00:0{k},{k},1\n" for k in range(8))
+READ: dict[str, tuple[str, dict[str, list[float]], dict[str, str]]] = {
+    "names as they are, empty cells": (
+        '\ufeff\ntime, u,"x[1,2]",der(y)\n0,1.5,2,\n0.1,2.5,3,0.30000000000000004\n',
+        {"time": [0, 0.1], "u": [1.5, 2.5], "x[1,2]": [2, 3], "der(y)": [NAN, 0.30000000000000004]}, {},
+    ),
+    "empty cells at the end of rows, blank lines": (
+        "time,u,y\n0,1,2\n  \n1,2,\n\n2,,\n", {"time": [0, 1, 2], "u": [1, 2, NAN], "y": [2, NAN, NAN]}, {},
+    ),
+    "signals in rows": (
+        f"Time,Signal,Value,Unit\n{SIGNALS}4,c,,mA\n5,c,7,mA\n",
+        {"time": [0, 1, 2, 3, 5], "a b": [0, 1, 2, 3, NAN], "c": [0, 2, 4, 6, 7]}, {"a b": "V", "c": "mA"},
+    ),
+    "units beside values": ("time,i,i unit\n0,1,A\n1,500,mA\n", {}, {"i": "A or mA"}),
+    "units beside values, in rows": ("time,name,value,unit\n0,i,1,A\n1,i,500,mA\n", {}, {"i": "A or mA"}),
+    "parts of dates": (
+        "Year,Month,Day,Hour,Minute,Second,u\n2026,2,28,23,58,30,1\n2026,2,28,23,59,30,1\n2026,3,1,0,0,30,1\n",
+        {"time": [0, 60, 120]}, {},
+    ),
+    "marks in each line": (
+        '\ufeff"Time","Flow smL/min"\n\ufeff"2026-01-31 10:00:00",1\n\ufeff"2026-01-31 10:01:00",2\n',
+        {"time": [0, 60]}, {"Flow": "smL/min"},
+    ),
+    "times within a step": (f"step time,date,total time,u\n{WITHIN}", {"time": [*range(8)]}, {}),
+    "times of day beside dates": (
+        "Date,Time,u\n01/30/2026,23:00:00,1\n01/30/2026,24:00,2\n02/02/2026,01:00:00,3\n",
+        {"time": [0, 3600, 180000]}, {},
+    ),
+    "unknown unit beside units": ("Time[s],q[ccps],w[rpm],x[1]\n0,1,2,3\n1,2,3,4\n", {}, {"q": "ccps", "w": "rpm"}),
+    "header below words": ("of the rig\nrun\ntime u\n0 1\n1 2\n2 4\n", {"time": [0, 1, 2], "u": [1, 2, 4]}, {}),
+}  # fmt: skip
+"""Texts with values and units of columns."""
+
+
+@pytest.mark.parametrize("name", READ)
+def test_texts(tmp_path: Path, name: str) -> None:
+    text, columns, units = READ[name]
+    frame = read_data(written(tmp_path, text))
+    for column, values in columns.items():
+        np.testing.assert_array_equal(frame[column], values)
+    assert frame.attrs.get("units", {}) == units
+    if "dates" in name:
+        assert not frame.attrs.get("clocks")
+        assert frame.attrs["begin"].isoformat() == ("2026-02-28T23:58:30" if "parts" in name else "2026-01-30T23:00:00")
+
+
+HOSTS = "time,host,name,value\n" + "".join(f"{k},{host},u,{k}\n" for k in range(6) for host in "ab")
 
 
 @pytest.mark.parametrize(
@@ -54,6 +96,15 @@ def test_csv_with_names_as_they_are_and_empty_cells(tmp_path: Path) -> None:
         ("time,u\n01/02/2026 10:00,1\n01/02/2026 10:01,2\n", "day and month of .* are ambiguous"),
         (b"time,gr\x81\xfce\n0,1\n", "not text in UTF-8, UTF-16 or cp1252"),
         (b"PK\x03\x04\x00\x00\xff\xfe\x00", "is a spreadsheet or packed file"),
+        ("  0.0000E+0  1.09E+2\n  4.0000E-2  1.13E+2\n  8.0000E-2  1.16E+2\n", "no header"),
+        (
+            "of the rig\nrun\n0 1\n1 2\n2 4\n",
+            r"no header above the 2 numbers of line 3\. Insert a line with their names",
+        ),
+        (
+            HOSTS,
+            r"'u' has several values at one time, by column 'host'\. Keep the rows",
+        ),
     ],
 )
 def test_csv_that_is_none(tmp_path: Path, text: str | bytes, sentence: str) -> None:
@@ -72,11 +123,6 @@ def test_a_cell_that_only_python_takes_for_a_number_is_named_with_its_row(tmp_pa
     with pytest.raises(InputError) as caught:
         numeric_column(table, "u", "file.csv")
     assert str(caught.value).startswith(f"file.csv: column 'u': {cell!r} in row 10 ")
-
-
-def test_empty_cells_at_the_end_of_rows_are_missing_samples_and_blank_lines_are_no_rows(tmp_path: Path) -> None:
-    table = read_data(written(tmp_path, "time,u,y\n0,1,2\n  \n1,2,\n\n2,,\n"))
-    np.testing.assert_array_equal(table.to_numpy(), [[0, 1, 2], [1, 2, np.nan], [2, np.nan, np.nan]])
 
 
 def test_columns_of_one_name_have_numbers_and_are_not_chosen(tmp_path: Path) -> None:
@@ -122,34 +168,6 @@ def test_texts_among_numbers_have_a_remedy_that_works(tmp_path: Path) -> None:
         read_data(written(tmp_path, "time,u\n22h 10:30:00,1\n22h 10:31:00,2\n"))
 
 
-def test_signals_in_rows_have_their_own_times(tmp_path: Path) -> None:
-    rows = [
-        f"{k},{name},{value},{unit}\n" for k in range(4) for name, value, unit in (("a b", k, "V"), ("c", 2 * k, "mA"))
-    ]
-    frame = read_data(written(tmp_path, "Time,Signal,Value,Unit\n" + "".join([*rows, "4,c,,mA\n", "5,c,7,mA\n"])))
-    assert frame.attrs["units"] == {"a b": "V", "c": "mA"}
-    assert frame["c"].dropna().tolist() == [0, 2, 4, 6, 7]
-    assert frame["a b"].dropna().tolist() == [0, 1, 2, 3]
-    assert frame["time"][frame["c"].notna()].tolist() == [0, 1, 2, 3, 5]
-
-
-def test_signals_of_several_devices_are_refused(tmp_path: Path) -> None:
-    rows = "".join(f"{k},{host},u,{k}\n" for k in range(6) for host in "ab")
-    with pytest.raises(InputError, match=r"'u' has several values at one time, by column 'host'\. Keep the rows"):
-        read_data(written(tmp_path, f"time,host,name,value\n{rows}"))
-
-
-@pytest.mark.parametrize("text", ["time,i,i unit\n0,1,A\n1,500,mA\n", "time,name,value,unit\n0,i,1,A\n1,i,500,mA\n"])
-def test_several_units_of_a_column_are_no_unit(tmp_path: Path, text: str) -> None:
-    assert read_data(written(tmp_path, text)).attrs["units"] == {"i": "A or mA"}
-
-
-def test_dates_in_columns_of_their_parts(tmp_path: Path) -> None:
-    rows = "".join(f"2026,2,28,23,{k},30,{k}\n" for k in (58, 59)) + "2026,3,1,0,0,30,1\n"
-    frame = read_data(written(tmp_path, f"Year,Month,Day,Hour,Minute,Second,u\n{rows}"))
-    np.testing.assert_array_equal(frame["time"], [0.0, 60.0, 120.0])
-
-
 def test_units_in_cells_of_one_quantity(tmp_path: Path) -> None:
     frame = read_data(written(tmp_path, "time,i,x,y\n0,1.5 A,1 A,8 V\n1,-,2 V,OL\n2,250 mA,3 A,9 V\n"))
     np.testing.assert_allclose(frame["i"], [1.5, np.nan, 0.25])
@@ -184,42 +202,6 @@ def test_unsaid_units_of_loggers_are_asked_for(tmp_path: Path, step: float, unit
 def test_sampling_rates_are_no_days(tmp_path: Path, rate: float) -> None:
     text = "Time,u\n" + "".join(f"{k / rate!r},1\n" for k in range(9))
     np.testing.assert_allclose(read_data(written(tmp_path, text))["time"], np.arange(9) / rate)
-
-
-def test_marks_in_each_line_are_no_text(tmp_path: Path) -> None:
-    text = '\ufeff"Time","Flow smL/min"\n\ufeff"2026-01-31 10:00:00",1\n\ufeff"2026-01-31 10:01:00",2\n'
-    frame = read_data(written(tmp_path, text.encode()))
-    np.testing.assert_array_equal(frame["time"], [0.0, 60.0])
-    assert frame.attrs["units"] == {"Flow": "smL/min"}
-
-
-def test_rows_of_exponents_have_no_header(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no header"):
-        read_data(written(tmp_path, "  0.0000E+0  1.09E+2\n  4.0000E-2  1.13E+2\n  8.0000E-2  1.16E+2\n", "a.dat"))
-
-
-def test_times_within_a_step_are_no_clock(tmp_path: Path) -> None:
-    text = "step time,date,total time,u\n" + "".join(f"{k % 5},01.01.2026 10:00:0{k},{k},1\n" for k in range(8))
-    np.testing.assert_array_equal(read_data(written(tmp_path, text))["time"], np.arange(8.0))
-
-
-def test_times_of_day_have_the_dates_beside_them(tmp_path: Path) -> None:
-    text = "Date,Time,u\n01/30/2026,23:00:00,1\n01/30/2026,24:00,2\n02/02/2026,01:00:00,3\n"
-    frame = read_data(written(tmp_path, text))
-    np.testing.assert_array_equal(frame["time"], np.multiply([0.0, 1.0, 50.0], 3600.0))
-    assert frame.attrs["begin"].isoformat() == "2026-01-30T23:00:00"
-    assert not frame.attrs.get("clocks")
-
-
-def test_a_unit_beside_units_is_one(tmp_path: Path) -> None:
-    frame = read_data(written(tmp_path, "Time[s],q[ccps],w[rpm],x[1]\n0,1,2,3\n1,2,3,4\n"))
-    assert frame.attrs["units"] == {"q": "ccps", "w": "rpm"}
-
-
-def test_numbers_below_words_have_no_header(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"no header above the 2 numbers of line 3\. Insert a line with their names"):
-        read_data(written(tmp_path, "of the rig\nrun\n0 1\n1 2\n2 4\n"))
-    assert [*read_data(written(tmp_path, "of the rig\nrun\ntime u\n0 1\n1 2\n2 4\n")).columns] == ["time", "u"]
 
 
 def test_each_column_of_two_lengths_has_its_times(tmp_path: Path) -> None:

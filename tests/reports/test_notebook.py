@@ -11,7 +11,7 @@ import pytest
 
 import fmuid
 from fmuid.estimation import Identifiability, IdentifiabilityLevel, WeakDirection
-from fmuid.reports.render.notebook import Drawing, plots
+from fmuid.reports.render.notebook import NotebookFigures, plots
 from fmuid.runs.batch.dataset import Dataset
 from tests.support.coil_study import COIL, STUDY, coil_table
 from tests.support.results import made_up
@@ -32,9 +32,9 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> fmuid.runs.Identification
 
 @pytest.fixture(autouse=True)
 def new_notebook() -> Iterator[None]:
-    Drawing._library_in.clear()
+    NotebookFigures._library_in.clear()
     yield
-    Drawing._library_in.clear()
+    NotebookFigures._library_in.clear()
 
 
 def html(shown: Any) -> str:

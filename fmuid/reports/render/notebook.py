@@ -118,7 +118,7 @@ def _experiment(given: Experiment) -> str:
     return _titled(given.name, said, table_of(columns, columns))
 
 
-class Drawing:
+class NotebookFigures:
     """Figures in a notebook, at most `columns` beside each other."""
 
     _library_in: list[str] = []  # noqa: RUF012  # the cell that carries the library of the notebook
@@ -128,7 +128,7 @@ class Drawing:
         self.charts, self.columns = charts, columns
 
     def __repr__(self) -> str:
-        return f"Drawing of {len(self.charts)} figures"
+        return f"{len(self.charts)} figures"
 
     def _repr_html_(self) -> str:
         content, where, places = embedded(self.charts)
@@ -169,18 +169,18 @@ class FigureCollection:
         """Return what can be drawn."""
         return [each.key for each in self._sections if each.key.isidentifier()]
 
-    def __getattr__(self, name: str) -> Callable[[], Drawing]:
+    def __getattr__(self, name: str) -> Callable[[], NotebookFigures]:
         """Return what draws a part, of several experiments all of it."""
         shown = [each for each in self._sections if each.key.split("-")[0] == name]
         if not shown:
             raise AttributeError(f"there is nothing to draw as {name!r}: there is {', '.join(dir(self))}")
-        return lambda: Drawing([chart for each in shown for chart in each.charts], shown[0].beside)
+        return lambda: NotebookFigures([chart for each in shown for chart in each.charts], shown[0].beside)
 
-    def parabolas(self, *names: str) -> Drawing:
+    def parabolas(self, *names: str) -> NotebookFigures:
         """Draw the cost of prior, data and both over parameters."""
         if self._reading is None:
             raise InputError("what the data alone say is in the findings of fmuid.run: draw them")
-        return Drawing(list(parabola_charts(self._reading, names, self._units)), 3)
+        return NotebookFigures(list(parabola_charts(self._reading, names, self._units)), 3)
 
 
 def plots(found: object) -> FigureCollection:
