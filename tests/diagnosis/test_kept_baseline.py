@@ -23,13 +23,8 @@ MODEL = {"fmu": str(FMUS / "Coil/Coil.fmu")}
 EXPERIMENT = {"data": "healthy.csv", "inputs": ["u"], "outputs": ["i"], "interpolation": "zoh"}
 FAULTS = {"turns": {"fmu": str(FMUS / "CoilTurns/CoilTurns.fmu"), "parameters": {"lost": {"nominal": 0.1, "max": 0.9}}}}
 STUDY = f"""
-[model]
-fmu = "{FMUS}/Coil/Coil.fmu"
-[[experiments]]
-data = "test1.csv"
-inputs = ["u"]
-outputs = ["i"]
-interpolation = "zoh"
+model.fmu = "{FMUS}/Coil/Coil.fmu"
+experiments = [{{ data = "test1.csv", inputs = ["u"], outputs = ["i"], interpolation = "zoh" }}]
 [diagnosis]
 baseline = "healthy/result.json"
 std_factor = {{ R = 10.0 }}

@@ -123,15 +123,8 @@ def test_values_that_an_enumeration_declares(tmp_path: Path, fmu: Path, experime
 
 
 STUDY = """
-[model]
-fmu = "{fmu}"
-
-[[experiments]]
-data = "table.csv"
-inputs = ["u"]
-outputs = ["x"]
-interpolation = "zoh"
-
+model.fmu = "{fmu}"
+experiments = [{{ data = "table.csv", inputs = ["u"], outputs = ["x"], interpolation = "zoh" }}]
 [parameters]
 gain = {{ start = 1.0, min = 0.01 }}
 n = {{ choices = [1, 2, 3] }}

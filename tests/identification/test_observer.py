@@ -91,19 +91,9 @@ def test_an_observer_is_for_one_output_of_one_model(cart: Path) -> None:
 
 
 STUDY = """
-[model]
-fmu = "{fmu}"
-
-[[experiments]]
-data = "table.csv"
-inputs = ["u"]
-outputs = {outputs}
-interpolation = "zoh"
-
-[parameters]
-m = {{ start = 1.0, min = 0.1 }}
-d = {{ start = 1.0, min = 0.0 }}
-
+model.fmu = "{fmu}"
+experiments = [{{ data = "table.csv", inputs = ["u"], outputs = {outputs}, interpolation = "zoh" }}]
+parameters = {{ m = {{ start = 1.0, min = 0.1 }}, d = {{ start = 1.0, min = 0.0 }} }}
 [estimation]
 observer_memory = 5
 {more}

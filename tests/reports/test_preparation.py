@@ -14,29 +14,22 @@ from tests.support.coil_study import COIL, coil_table
 from tests.support.running import run_diagnosis, run_study
 
 STUDY = """
-[model]
-fmu = "{fmu}"
+model.fmu = "{fmu}"
+parameters = {{ R = {{ start = 4.0, min = 0.0 }}, L = {{ start = 0.1, min = 1e-4 }} }}
 [[experiments]]
 name = "cut"
 data = "run.csv"
 inputs = ["u"]
 outputs = {{ i = "current" }}
 interpolation = "zoh"
-[experiments.preprocess]
-computed_columns = {{ current = "shunt / 50" }}
-start_time = 0.1
-end_time = 0.4
+preprocess = {{ computed_columns = {{ current = "shunt / 50" }}, start_time = 0.1, end_time = 0.4 }}
 [[experiments]]
 name = "mean"
 data = "run.csv"
 inputs = ["u"]
 outputs = ["i"]
 interpolation = "zoh"
-[experiments.preprocess]
-detrend = {{ i = "mean" }}
-[parameters]
-R = {{ start = 4.0, min = 0.0 }}
-L = {{ start = 0.1, min = 1e-4 }}
+preprocess.detrend = {{ i = "mean" }}
 """
 
 

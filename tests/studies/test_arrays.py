@@ -18,12 +18,8 @@ from tests.support.coil_study import COIL, fmuid_
 from tests.support.exported import export_text
 
 STUDY = f"""
-[model]
-fmu = "{COIL.as_posix()}"
-[[experiments]]
-data = "run.csv"
-inputs = ["u"]
-outputs = ["i"]
+model.fmu = "{COIL.as_posix()}"
+experiments = [{{ data = "run.csv", inputs = ["u"], outputs = ["i"] }}]
 [parameters]
 """
 
@@ -109,21 +105,15 @@ def write_data(path: Path, b: Floats) -> None:
 
 
 WHOLE = """
-[model]
-fmu = "Arrays.fmu"
-[model.fixed]
-b = {b}
+model = {{ fmu = "Arrays.fmu", fixed.b = {b} }}
+parameters.A.start = {a}
+noise.variance = 1e-6
 [[experiments]]
 data = "run.csv"
 inputs = ["u"]
 outputs = ["y1", "y2"]
 interpolation = "zoh"
-[experiments.fixed]
-s = {s}
-[parameters]
-A = {{ start = {a} }}
-[noise]
-variance = 1e-6
+fixed.s = {s}
 """
 SHAPES = {"a": "[[-1.5, 1.0], [-2.0, -1.0]]", "b": "[1.0, 2.0]", "s": "[0.4, -0.2]"}
 
@@ -144,7 +134,7 @@ def test_matrices_in_parameters_and_values(linear: Path) -> None:
         ("b", '[1.0, "x"]', r"'b\[2\]' .* Real .*'x'"),
         ("s", "[0.4]", r"experiments\[0\].fixed.s: 1 values given, but .* has 2"),
         ("a", "[-1.5, 1.0, 2.0, 1.0]", "parameters.A: 4 values given, but .* has 2 x 2"),
-        ("b", "[1.0, 2.0]\nd = [1.0]", "d: 1 values given, but .* has one"),
+        ("b", "[1.0, 2.0], fixed.d = [1.0]", "d: 1 values given, but .* has one"),
     ],
 )
 def test_arrays_of_another_shape(linear: Path, name: str, rows: str, said: str) -> None:

@@ -26,23 +26,10 @@ TRUTH = {"gain": 2.5, "T": 0.6}
 FRAME = RECORD_FRAME.assign(x=lag(TIMES, U, **TRUTH) + 0.01 * np.random.default_rng(5).normal(size=TIMES.size))
 BAND = {"bad_from": 3.0, "bad_to": 4.2}
 STUDY = """
-[model]
-fmu = "{fmu}"
-[model.fixed]
-mode = {mode}
-bad_from = {bad_from}
-bad_to = {bad_to}
-[[experiments]]
-data = "table.csv"
-inputs = ["u"]
-outputs = ["x"]
-interpolation = "zoh"
-[parameters]
-gain = {{ start = 8.0 }}
-T = {{ start = 10.0, min = 1e-3 }}
-[isolation]
-time_limit = 600
-memory_limit_mb = 400
+model = {{ fmu = "{fmu}", fixed = {{ mode = {mode}, bad_from = {bad_from}, bad_to = {bad_to} }} }}
+experiments = [{{ data = "table.csv", inputs = ["u"], outputs = ["x"], interpolation = "zoh" }}]
+parameters = {{ gain = {{ start = 8.0 }}, T = {{ start = 10.0, min = 1e-3 }} }}
+isolation = {{ time_limit = 600, memory_limit_mb = 400 }}
 """
 
 

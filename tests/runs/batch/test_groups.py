@@ -165,17 +165,9 @@ def test_a_first_draw_that_ends_the_process_costs_the_others_nothing(
 SAMPLES, STEP = 200, 0.1  # of the record of the cases that wait; s
 QUARTER, CASES = 50, 200
 GATED = """
-[model]
-fmu = "{fmu}"
-fixed = {{ mode = {mode}, where = {where} }}
-[[experiments]]
-data = "first.csv"
-inputs = ["u"]
-outputs = ["x"]
-interpolation = "zoh"
-[parameters]
-gain = {{ start = 1.0, min = 0.0 }}
-T = {{ start = 1.0, min = 1e-3 }}
+model = {{ fmu = "{fmu}", fixed = {{ mode = {mode}, where = {where} }} }}
+experiments = [{{ data = "first.csv", inputs = ["u"], outputs = ["x"], interpolation = "zoh" }}]
+parameters = {{ gain = {{ start = 1.0, min = 0.0 }}, T = {{ start = 1.0, min = 1e-3 }} }}
 [batch]
 sweep = {{ amount = [1.0, 2.0, 3.0, 4.0] }}
 monte_carlo = {{ realizations = 50, std = 0.02, true_values = {{ gain = 2.0, T = 0.5 }} }}
