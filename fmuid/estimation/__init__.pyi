@@ -51,7 +51,6 @@ from .noise.whiteness_tests import NormalityTest as NormalityTest
 from .noise.whiteness_tests import WhitenessTest as WhitenessTest
 from .noise.whiteness_tests import normality as normality
 from .noise.whiteness_tests import whiteness as whiteness
-from .predictors import FunctionPredictions as FunctionPredictions
 from .predictors import Predictor as Predictor
 from .problem import LeastSquares as LeastSquares
 from .result import RESULT_SCHEMA as RESULT_SCHEMA

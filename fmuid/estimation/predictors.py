@@ -2,42 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmuid.array_types import Floats
+from fmuid.array_types import Floats, Simulations
 from fmuid.errors import InputError, SimulationError
-
-
-class Predictions(Protocol):
-    """Outputs simulated for several thetas."""
-
-    @property
-    def outputs(self) -> Floats:
-        """(m, K, n_outputs), NaN if failed; the caller may change it."""
-
-    @property
-    def errors(self) -> Sequence[Exception | None]:
-        """Error of each simulation, None if it succeeded."""
 
 
 class Predictor(Protocol):
     """Simulates one experiment; `fmuid.Simulator` is one."""
 
-    def many(self, thetas: ArrayLike) -> Predictions:
+    def many(self, thetas: ArrayLike) -> Simulations:
         """Simulate thetas (m, N_i)."""
-
-
-@dataclass(frozen=True, eq=False)
-class FunctionPredictions:
-    """Outputs of a Python function for several thetas, as `Predictions`."""
-
-    outputs: Floats
-    errors: tuple[Exception | None, ...]
 
 
 class FunctionPredictor:
@@ -46,7 +25,7 @@ class FunctionPredictor:
     def __init__(self, function: Callable[[Floats], ArrayLike], shape: tuple[int, int]) -> None:
         self._function, self._shape = function, shape
 
-    def many(self, thetas: ArrayLike) -> FunctionPredictions:
+    def many(self, thetas: ArrayLike) -> Simulations:
         """Call the function for each of thetas (m, N)."""
         given = np.array(thetas, dtype=np.float64)
         outputs = np.full((len(given), *self._shape), np.nan)
@@ -66,4 +45,4 @@ class FunctionPredictor:
                 else:
                     error = ArithmeticError("the function returned a value that is not finite")
             errors.append(error)
-        return FunctionPredictions(outputs, tuple(errors))
+        return Simulations(outputs, tuple(errors))

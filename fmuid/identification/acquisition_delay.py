@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmuid.array_types import Floats
+from fmuid.array_types import Floats, Simulations
 from fmuid.data import Experiment, Normal, Parameter, usual_step
 from fmuid.errors import InputError
 from fmuid.estimation import (
@@ -20,7 +20,6 @@ from fmuid.estimation import (
     AugmentedProblem,
     CostFunction,
     Evaluator,
-    FunctionPredictions,
     LeastSquares,
     LinearizedProblem,
     Marquardt,
@@ -168,7 +167,7 @@ class DelayedPredictor:
     def __init__(self, predictor: Predictor, experiment: Experiment, delay: float) -> None:
         self._predictor, self._experiment, self._delay = predictor, experiment, delay
 
-    def many(self, thetas: ArrayLike) -> FunctionPredictions:
+    def many(self, thetas: ArrayLike) -> Simulations:
         """Simulate thetas (m, N_i + 2), equal ones of the model once."""
         given = np.asarray(thetas, dtype=np.float64)
         own, back = np.unique(given[:, :-2], axis=0, return_inverse=True)
@@ -177,7 +176,7 @@ class DelayedPredictor:
         for each, sizes in zip(outputs, given[:, -2:], strict=True):
             late, early = secants(self._experiment, each, self._delay)
             each += sizes[0] * late + sizes[1] * early
-        return FunctionPredictions(outputs, tuple(found.errors[i] for i in places))
+        return Simulations(outputs, tuple(found.errors[i] for i in places))
 
 
 def with_delay(problem: LeastSquares, result: Result) -> tuple[LeastSquares, Result]:

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmuid.array_types import Flags, Floats
+from fmuid.array_types import Flags, Floats, Simulations
 from fmuid.blas import single_threaded
 from fmuid.data import Parameter
-from fmuid.estimation import Estimates, Evaluator, FunctionPredictions, LeastSquares, Marquardt, Result, SolverCheck
+from fmuid.estimation import Estimates, Evaluator, LeastSquares, Marquardt, Result, SolverCheck
 from fmuid.events import Progress
 from fmuid.identification.acquisition_delay import include_delay
 from fmuid.identification.data_defects import DataDefect
@@ -72,11 +72,11 @@ class CorrectedPredictor:
     def __init__(self, predictor: Any, directions: Floats, simulated: Floats) -> None:
         self._predictor, self._directions, self._simulated = predictor, directions, simulated
 
-    def many(self, thetas: ArrayLike) -> FunctionPredictions:
+    def many(self, thetas: ArrayLike) -> Simulations:
         """Simulate thetas (k, N_i + m); the last m numbers are sizes."""
         given, count = np.asarray(thetas, dtype=np.float64), self._directions.shape[2]
         found = self._predictor.many(np.ascontiguousarray(given[:, :-count]))
-        return FunctionPredictions(found.outputs + self.added(given[:, -count:]), tuple(found.errors))
+        return Simulations(found.outputs + self.added(given[:, -count:]), found.errors)
 
     def added(self, sizes: Floats, counted: Flags | bool = True) -> Floats:
         """Return what sizes (k, m) that are `counted` add, (k, K, n_outputs)."""

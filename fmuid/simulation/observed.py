@@ -10,33 +10,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from fmuid.array_types import Floats, Indices
+from fmuid.array_types import Floats, Indices, Simulations
 from fmuid.data import Experiment, SensorMap
 from fmuid.errors import SimulationError
-
-
-@dataclass(frozen=True)
-class Simulations:
-    """Simulations of several thetas."""
-
-    outputs: Floats  # (m, K, n_outputs) in units of the data file; NaN after a failure
-    errors: tuple[SimulationError | None, ...]
-
-    @classmethod
-    def of(cls, many: Callable[[Floats], Simulations], theta: ArrayLike) -> Floats:
-        """Return the outputs of one theta (N,), (K, n_outputs), or of several; raise the first error."""
-        thetas = np.asarray(theta, dtype=np.float64)
-        found = many(np.atleast_2d(thetas))
-        return found.checked()[0] if thetas.ndim < 2 else found.checked()
-
-    def checked(self) -> Floats:
-        """Return the outputs; raise the first error."""
-        for error in self.errors:
-            if error is not None:
-                raise error
-        return self.outputs
 
 
 @dataclass(frozen=True)
@@ -104,7 +81,7 @@ class ObservedModel:
 
     def model_outputs(
         self, thetas: Floats, values: Floats, own: Indices
-    ) -> tuple[Floats, tuple[SimulationError | None, ...]]:
+    ) -> tuple[Floats, tuple[Exception | None, ...]]:
         """Return outputs of the model (m, K, n_model); equal models with equal inputs are simulated once."""
         keys = np.hstack([thetas[:, own], values[:, self.map.of_inputs]])
         _, first, back = np.unique(keys, axis=0, return_index=True, return_inverse=True)

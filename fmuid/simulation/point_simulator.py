@@ -10,11 +10,10 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmuid.array_types import Floats
+from fmuid.array_types import Floats, Simulations
 from fmuid.data import Experiment
 from fmuid.errors import InputError, SimulationError
 from fmuid.models import System
-from fmuid.simulation.observed import Simulations
 from fmuid.simulation.point_model import ModelOfPoints, PointModel
 from fmuid.simulation.simulation_task import Value
 from fmuid.simulation.solver_refinement import by_model_exchange

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmuid.array_types import Floats
+from fmuid.array_types import Floats, Simulations
 from fmuid.data import Experiment, is_quantity
 from fmuid.errors import NO_EXPERIMENT, InputError, SimulationError, check_kind
 from fmuid.models import FMU, Isolation, Numerics, System
 from fmuid.simulation import codes
 from fmuid.simulation.executor_pool import close, executor_of
-from fmuid.simulation.observed import ObservedModel, Simulations
+from fmuid.simulation.observed import ObservedModel
 from fmuid.simulation.plan_builder import converted_inputs, simulation_of
 from fmuid.simulation.simulation_plan import GridSimulation, SimulationJob, SimulationPlan
 from fmuid.simulation.simulation_task import Value, column_conversion, task_of

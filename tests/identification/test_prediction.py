@@ -10,11 +10,10 @@ from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
 from fmuid import Experiment, InputError, Parameter, Problem, Result, SimulationError, Simulator
-from fmuid.array_types import Floats
+from fmuid.array_types import Floats, Simulations
 from fmuid.codec import as_json
 from fmuid.data import FrequencyExperiment, Response
 from fmuid.identification import OutputScore, identify, predict_by_model, prediction
-from fmuid.simulation.observed import Simulations
 from tests.support.paths import FMUS
 from tests.support.results import changed
 

@@ -9,16 +9,10 @@ from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
 from fmuid import Parameter, SimulationError
-from fmuid.array_types import Floats
+from fmuid.array_types import Floats, Simulations
 from fmuid.estimation import LeastSquares
 
 TIMES, CLOCK = np.linspace(0.0, 2.0, 50), np.linspace(0.0, 3.0, 100)
-
-
-@dataclass(frozen=True)
-class Predictions:
-    outputs: Floats
-    errors: tuple[Exception | None, ...]
 
 
 @dataclass
@@ -27,14 +21,14 @@ class Fake:
 
     taken: list[Floats] = field(default_factory=list)
 
-    def many(self, thetas: ArrayLike) -> Predictions:
+    def many(self, thetas: ArrayLike) -> Simulations:
         given = np.array(thetas, dtype=np.float64)
         self.taken.append(given)
         outputs = np.array([simulate(*theta) for theta in given])
         failed = given[:, 0] < 0
         outputs[failed] = np.nan
         error = SimulationError("Fake.fmu", 0.5, {"k": -1.0}, "fmi2DoStep returned fmi2Error")
-        return Predictions(outputs, tuple(error if f else None for f in failed))
+        return Simulations(outputs, tuple(error if f else None for f in failed))
 
 
 def simulate(k: float, gain: float, times: Floats = TIMES) -> Floats:
