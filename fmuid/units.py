@@ -33,6 +33,8 @@ _MEANT = {
     "turn/s": "rps, rev/s, revs/s, r/s, U/s, tr/s, turn/s, turns/s",
     "V": "Volt, Volts, volt, volts, VDC, Vdc",
     "A": "Amp, Amps, amp, amps, Ampere, Amperes, ampere, amperes, ADC, Adc",
+    "mV": "mVDC, mVdc",
+    "mA": "mADC, mAdc",
     "ohm": "Ohm, Ohms, ohms, Ω, Ω",
     "deg": "degrees, Degrees, degree, Degree, deg., °, º",
     "deg/s": "°/s, degrees/s, deg/sec, dps",

@@ -21,6 +21,7 @@ PLAIN = pd.DataFrame({"time": T, "u": np.where(T < 0.05, 12.0, 0.0), "i": np.sin
 ROLES = 'inputs = ["u"]\noutputs = ["i"]\n'
 ROWS: dict[str, Callable[[Path], None]] = {}
 VARIANTS: Mapping[str, tuple[str, ...]] = {
+    "COMTRADE, PSCAD": ("comtrade.dat", "comtrade.cfg", "comtrade.cff", "pscad_01.out"),
     "`;` between columns, `3,14`, Excel's CSV, UTF-16, lines above the header": (
         "semicolons",
         "German",
@@ -91,10 +92,10 @@ def _(folder: Path) -> None:
     assert_plain(*studied(path, ROLES + 'time = "Zeit"\ntime_unit = "ms"'), begun(path, time="Zeit", time_unit="ms"))
 
 
-@row("hours, and the model counts time in hours")
+@row("the model counts time in hours")
 def _(folder: Path) -> None:
-    path = written(folder, PLAIN.rename(columns={"time": "Time (h)"}))
-    assert_plain(*studied(path, ROLES + 'time_unit = "s"'), begun(path, time_unit="s"))
+    path = written(folder, PLAIN.assign(time=60.0 * T).rename(columns={"time": "Time (min)"}))
+    assert_plain(*studied(path, ROLES + 'model_time_unit = "h"'), begun(path, model_time_unit="h"))
 
 
 @row("durations that pandas wrote into .xlsx or .ods as days")

@@ -5,6 +5,7 @@ from .data_file import BEGIN as BEGIN
 from .data_file import LEFT_OUT as LEFT_OUT
 from .data_file import TEXT as TEXT
 from .data_file import UNITS as UNITS
+from .data_file import in_time_of_model as in_time_of_model
 from .data_file import numeric_column as numeric_column
 from .data_file import read_data as read_data
 from .data_file import record_files as record_files

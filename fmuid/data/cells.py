@@ -44,7 +44,8 @@ def is_number(cell: Cell, decimal: str = ".") -> bool:
 
 def may_be_number(cell: str, decimal: str) -> bool:
     """Return whether a text is a number, perhaps with marks between thousands."""
-    return is_number(cell, decimal) or _GROUPED.fullmatch(cell) is not None
+    grouped = _GROUPED.fullmatch(cell)
+    return is_number(cell, decimal) or (grouped is not None and grouped[1] != decimal and grouped[2] in (None, decimal))
 
 
 def numbers_of(cells: Iterable[str], decimal: str) -> list[float] | None:

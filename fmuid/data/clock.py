@@ -15,7 +15,7 @@ from fmuid.data.coarse_clock import regular_times
 from fmuid.data.headers import RawTable, split_header
 from fmuid.data.several_clocks import assigned, joined, resolution, same_clock
 from fmuid.data.time_names import TIME_NAMES, counts_part, is_time_name, plain_name
-from fmuid.data.time_numbers import DATES, are_day_numbers, dates_in_digits, may_be_days, since_1970
+from fmuid.data.time_numbers import DATES, are_day_numbers, clock_in_digits, dates_in_digits, may_be_days, since_1970
 from fmuid.data.time_texts import check_local_times, days_of, seconds_of, time_of_day, times_of
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
@@ -26,11 +26,12 @@ _LISTED_NAMES = 12
 """Names listed in a message."""
 _WITH_SUFFIX = re.compile(rf"(.*\S)[_ ]({'|'.join(SECONDS)})", re.IGNORECASE)
 _PARTS = {
-    **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), 1e-3),
-    **dict.fromkeys(("us", "usec", "microsecond", "microseconds"), 1e-6),
+    **dict.fromkeys(("ms", "msec", "msecs", "millis", "millisecond", "milliseconds", "milli"), 1e-3),
+    **dict.fromkeys(("us", "usec", "usecs", "micros", "microsecond", "microseconds"), 1e-6),
+    **dict.fromkeys(("ns", "nsec", "nsecs", "nanos", "nanosec", "nanosecond", "nanoseconds"), 1e-9),
     "fractional seconds": 1.0,
 }
-"""Columns beside times of whole seconds, and their units, s."""
+"""Last words of columns beside times of whole seconds, and their units, s."""
 
 
 def time_name(time: str | int) -> str:
@@ -87,6 +88,9 @@ def with_time(
     main = _clock(raw, column, unit, source)
     if not pd.api.types.is_numeric_dtype(np.asarray(main.values).dtype):  # refused by the reader, with its row
         return TimedTable(raw.frame.rename(columns={column: name}))
+    if unit is not None and main.begin is not None and not pd.api.types.is_numeric_dtype(raw.frame[column].dtype):
+        said = f"time column {column!r} has dates; time_unit is for numbers"
+        raise InputError(f"{source}: {said}. Remove it, or set model_time_unit for that of the FMU.")
     main = _with_parts(raw, _with_days(raw, main, source))
     others, notes = _other_clocks(raw, main, unit, clocks, source)
     frame = raw.frame
@@ -132,9 +136,11 @@ def _clock(raw: RawTable, column: str, unit: str | None, source: str, usual: str
     """Return a time column in s; `usual` is its unit where nothing says one."""
     values, begin = times_of(raw.frame[column], column, source)
     if begin is not None and begin.tzinfo is None:
-        check_local_times(raw.frame[column], np.asarray(values, dtype=np.float64), column, source)
+        check_local_times(raw.frame[column], (np.asarray(values, dtype=np.float64), begin), column, source)
     if begin is None and (dates := dates_in_digits(values)) is not None:
         values, begin = seconds_of(dates)
+    if begin is None and unit is None and (clock := clock_in_digits(values)) is not None:
+        values = clock
     said_unit = unit or _unit_said(raw, column)
     is_number = pd.api.types.is_numeric_dtype(raw.frame[column].dtype)  # else the unit may be hh:mm:ss
     if begin is None and said_unit is None and column in raw.units and is_number:
@@ -251,13 +257,21 @@ def _scaled(values: Any, factor: float) -> Any:
 
 def _with_parts(raw: RawTable, clock: _Clock) -> _Clock:
     """Return a clock with the parts of seconds in another column."""
-    found = [str(name) for name in raw.frame.columns if str(name).strip().lower() in _PARTS]
-    if len(found) != 1 or found[0] == clock.name or not pd.api.types.is_numeric_dtype(raw.frame[found[0]].dtype):
+    units = {str(name): _part_of_seconds(raw, str(name)) for name in raw.frame.columns if name != clock.name}
+    found = [(name, unit) for name, unit in units.items() if unit and raw.frame[name].dtype.kind in "iuf"]
+    if len(found) != 1:
         return clock
-    parts = raw.frame[found[0]].to_numpy(dtype=np.float64) * _PARTS[found[0].strip().lower()]
+    parts = raw.frame[found[0][0]].to_numpy(dtype=np.float64) * found[0][1]
     values = clock.seconds()
     whole = not (values % 1.0).any() and (np.diff(values) == 0.0).any()
     return replace(clock, values=values + parts) if whole and parts.min() >= 0.0 and parts.max() < 1.0 else clock
+
+
+def _part_of_seconds(raw: RawTable, name: str) -> float | None:
+    """Return the unit of parts of seconds, s: ``ms``, ``stamp.nsecs``, ``Time (ms)``."""
+    word = re.split(r"[._]", name.strip().lower())[-1]
+    said = raw.units.get(name, "") if is_time_name(name) else ""
+    return _PARTS.get(word, _PARTS.get(said))
 
 
 def _with_days(raw: RawTable, clock: _Clock, source: str) -> _Clock:

@@ -23,9 +23,10 @@ from fmuid.data.readers.json_text import read_json
 from fmuid.data.readers.text import read_text
 from fmuid.data.several_clocks import CLOCKS
 from fmuid.data.time_names import is_time_name
-from fmuid.data.time_numbers import dates_of_parts
+from fmuid.data.time_numbers import dates_of_parts, with_dates_of_days
 from fmuid.errors import InputError
 from fmuid.files import is_file, is_folder
+from fmuid.units import SECONDS, TIME_UNITS
 
 TEXT = (".csv", ".txt", ".tsv", ".asc", ".dat", ".lvm", ".tab", ".prn", ".ascii", ".log", ".out")
 """Suffixes of delimited text; packed it has .gz or .zip after them."""
@@ -126,7 +127,7 @@ def read_data(
         raw = _raw_table(read_binary(path, source, sheet), source)
     if len(raw.frame) == 0:
         raise InputError(f"{source}: no samples below the header. Give measured samples.")
-    raw = with_units_of_columns(raw)
+    raw = with_units_of_columns(replace(raw, frame=with_dates_of_days(raw.frame)))
     if time == "time" and (dates := dates_of_parts(raw.frame)) is not None:
         raw = replace(raw, frame=raw.frame.assign(time=dates))
     rows = rows_of_signals(raw) if time is not None else None
@@ -145,6 +146,18 @@ def read_data(
     frame.attrs |= {DECIDED: True} if missing is not None else {}
     frame.attrs |= {BEGIN: timed.begin} if timed.begin is not None else {}
     return frame
+
+
+def in_time_of_model(frame: pd.DataFrame, time: str | int, unit: str) -> pd.DataFrame:
+    """Convert the times of a frame from s to a model's unit."""
+    if unit not in SECONDS:
+        raise InputError(f"model_time_unit {unit!r} is unknown. Use {', '.join(TIME_UNITS)}.")
+    if SECONDS[unit] == 1.0:
+        return frame
+    name = time_name(time)
+    found = frame.assign(**{name: frame[name] / SECONDS[unit]})
+    found.attrs = frame.attrs
+    return found
 
 
 def _is_text(path: Path) -> bool:

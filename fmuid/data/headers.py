@@ -70,6 +70,11 @@ _MARKED = re.compile(r"\s*[\[{<]")
 _NO_NAME = re.compile(r"[\d:./\s-]*")
 """Dates and times in the place of names."""
 _INDEX = re.compile(r"[\d\s,:]*")
+_NODES, _NODE = (
+    ("V", "I", "v", "i", "Ix", "Id", "Ig", "Is", "Ic", "Ib", "Ie"),
+    re.compile(r"[A-Za-z]\w*\d(:\w+)?|\w+,\w+"),
+)
+"""Names and arguments of SPICE: ``V(out1)``, ``I(L1)``."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +128,8 @@ def split_header(header: str) -> tuple[str, str | None]:
             return quantity, f"{part}/{words['unit']}"  # a flow in smL/min
         return (header, None) if _RATIOS.fullmatch(words["name"]) else (words["name"], words["unit"])
     unit = (found["round"] if found["round"] is not None else found["square"]).strip()
-    if found["name"] == "der" or (not found["gap"] and _INDEX.fullmatch(unit)):
+    call = found["name"] == "der" or (found["name"] in _NODES and _NODE.fullmatch(unit))
+    if not found["gap"] and (call or _INDEX.fullmatch(unit)):
         return header, None
     if not is_unit(unit) and (inner := split_header(found["name"]))[1]:  # a remark after the unit
         return inner
@@ -222,10 +228,19 @@ def find_head(rows: Sequence[Sequence[Cell]], decimal: str = ".") -> TableHeader
     for k in range(above + 2, header + 1):
         if _are_units(rows[k]):
             names, units = _with_names_above(rows[above + 1 : k], rows[k])
+            timed = [
+                _texts(row) for row in rows[above + 1 : k] if any(plain_name(str(cell)) in TIME_NAMES for cell in row)
+            ]
+            if (
+                "" not in names and len(timed) == 1 and all(timed[0]) and len({*timed[0]}) == len(names)
+            ):  # others describe columns
+                names = timed[0]
             if k + 1 == header and "" in names and all(below := _texts(rows[header])):  # units stand above names
                 names = below
             return made(names, units)
     names = _with_names_beside(_texts(rows[header]), rows[first])
+    if header > above + 1 and all(is_unit(text.strip("[]() ")) for text in _texts(rows[header - 1])):
+        return made(names, _texts(rows[header - 1]))
     if "" in names[1:] or len({*names}) < len(names):  # as how each column was made: Avg, Smp
         for k in range(header - 1, above, -1):
             if all(each := _texts(rows[k])) and len({*each}) == len(each) and any(map(is_unit, _texts(rows[k + 1]))):
@@ -307,6 +322,8 @@ def _units_said(rows: Sequence[Sequence[Cell]], names: Sequence[str]) -> tuple[s
             return tuple(said.get(k, "") for k in range(len(names)))
         if known > 1:
             return "", *units
+        if len(units) == 1:  # of all signals
+            return tuple(units[0] if k in places else "" for k in range(len(names)))
     return ()
 
 

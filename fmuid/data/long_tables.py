@@ -16,9 +16,21 @@ from fmuid.errors import InputError
 
 _NAMES = (
     *("varname", "variable", "variablename", "name", "signal", "signalname", "tag", "tagname", "channel"),
-    *("channelname", "series", "metric", "sensor", "pid", "field", "parameter", "point", "pointname", "entityid"),
+    *(
+        "channelname",
+        "series",
+        "metric",
+        "sensor",
+        "pid",
+        "field",
+        "parameter",
+        "point",
+        "pointname",
+        "entityid",
+        "topic",
+    ),
 )
-_VALUES = ("value", "varvalue", "val", "wert", "state")
+_VALUES = ("value", "varvalue", "val", "wert", "state", "payload")
 _UNITS = ("units", "unit", "einheit")
 """Headers in small letters of the columns with names, values and units."""
 
@@ -43,6 +55,8 @@ def with_columns_of_signals(raw: RawTable, time: str, source: str) -> RawTable:
     if rows.empty:
         raise InputError(f"{source}: no row has a name, a time and a value. Give measured samples.")
     groups = {str(name): part for name, part in rows.groupby(names, sort=False)}
+    single = {name: "one value" for name, part in groups.items() if len(part) == 1 < len(rows)}  # marks of events
+    groups = {name: part for name, part in groups.items() if name not in single} or groups
     first = next(iter(groups.values()))[time].tolist()
     together = all(part[time].tolist() == first for part in groups.values())
     columns: dict[str, Any] = {}
@@ -61,7 +75,8 @@ def with_columns_of_signals(raw: RawTable, time: str, source: str) -> RawTable:
         said |= {clock: said[time]} if time in said else {}
         unit = raw.units.get(values, "") if units is None else _units_in(part[units])
         said |= {name: unit} if unit else {}
-    return replace(raw, frame=pd.DataFrame(columns), units=said, time=time, clocks=clocks)
+    left_out = {**raw.left_out, **{name: reason for name, reason in single.items() if name not in groups}}
+    return replace(raw, frame=pd.DataFrame(columns), units=said, time=time, clocks=clocks, left_out=left_out)
 
 
 def with_units_of_columns(raw: RawTable) -> RawTable:

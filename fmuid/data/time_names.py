@@ -18,7 +18,20 @@ TIME_NAMES = (
 _OF_PARTS = {"step", "cycle", "cyc", "schritt", "load", "set", "half", "duration", "minutes"}
 """Words beside time that count from the begin of a part."""
 _DECORATED = re.compile(r"^[%~#\s]+|\s*\([^()]*\)$|, (gmt|utc)\S*$")
-_TIME_WORDS = ("time", "t", "zeit", "timestamp", "datetime", "temps", "tiempo", "tempo", "zeitstempel", "clock", "ts")
+_TIME_WORDS = (
+    "time",
+    "t",
+    "zeit",
+    "timestamp",
+    "datetime",
+    "temps",
+    "tiempo",
+    "tempo",
+    "zeitstempel",
+    "clock",
+    "ts",
+    "secs",
+)
 
 
 def plain_name(name: str) -> str:

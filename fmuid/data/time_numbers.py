@@ -22,12 +22,37 @@ DATES = ("date", "datum", "datetime", "date/time", "date time", "datum/zeit", "d
 """Names of columns with dates."""
 
 
+_CLOCK_PARTS = (
+    ("h", "hh", "hour", "hours", "std", "stunde", "stunden"),
+    ("m", "mm", "min", "minute", "minutes", "minuten"),
+    ("s", "ss", "sec", "second", "seconds", "sek", "sekunde", "sekunden"),
+)
+"""Headers of three columns with a time of day."""
+
+
 def since_1970(values: Any, unit: str | None) -> Literal["s", "ms", "us", "ns"] | None:
     """Return the unit of this century's epoch times, else None."""
     first = values.iloc[0] if pd.api.types.is_numeric_dtype(values.dtype) and len(values) else 0
     units: tuple[Literal["s", "ms", "us", "ns"], ...] = ("s", "ms", "us", "ns")
     possible = [each for each in units if unit is None or SECONDS[unit] == SECONDS[each]]
     return next((each for each in possible if _CENTURY[0] <= first * SECONDS[each] < _CENTURY[1]), None)
+
+
+def _time_of_day(frame: pd.DataFrame) -> Any:
+    """Return durations of three columns of hours, minutes and seconds; None without them."""
+    names = [str(name).strip().lower() for name in frame.columns]
+    triples = (zip(names[k : k + 3], _CLOCK_PARTS, strict=True) for k in range(len(names) - 2))
+    place = next((k for k, triple in enumerate(triples) if all(name in known for name, known in triple)), None)
+    if place is None or any(map(is_time_name, (*names[:place], *names[place + 3 :]))):
+        return None
+    parts = frame.iloc[:, place : place + 3]
+    if not all(pd.api.types.is_numeric_dtype(column.dtype) for _, column in parts.items()):
+        return None
+    hours, minutes, seconds = (parts.iloc[:, k].astype(float) for k in range(3))
+    if (hours % 1).any() or (minutes % 1).any() or max(minutes.max(), seconds.max()) >= 60 or parts.min().min() < 0:
+        return None
+    found = 3600.0 * hours + 60.0 * minutes + seconds
+    return pd.to_timedelta(found + SECONDS["d"] * (found.diff() < 0).cumsum(), unit="s")
 
 
 def may_be_days(values: Any) -> bool:
@@ -61,12 +86,42 @@ def dates_in_digits(values: Any) -> Any:
     return None if dates.isna().any() else dates
 
 
+def clock_in_digits(values: Any) -> Any:
+    """Return times of day such as 125959.9 in s; None for others: only the leap to 130000 tells them."""
+    numbers = pd.to_numeric(values, errors="coerce") if pd.api.types.is_numeric_dtype(values.dtype) else None
+    if numbers is None or len(numbers) < 10 or not numbers.between(0, 240_000, inclusive="left").all():
+        return None
+    hours, minutes, seconds = numbers // 10_000, numbers // 100 % 100, numbers % 100
+    if minutes.max() >= 60 or seconds.max() >= 60 or numbers.iloc[0] < 10_000:
+        return None
+    found = 3600.0 * hours + 60.0 * minutes + seconds
+    found += SECONDS["d"] * (found.diff() < 0).cumsum()  # past midnight
+    steps, read = np.diff(numbers), np.diff(found)
+    usual = float(np.median(read))
+    regular = 0 < usual < 30 and read.min() > 0 and read.max() <= 1.5 * usual
+    return found if regular and np.abs(steps).max() > 30 + usual else None
+
+
+def with_dates_of_days(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return a frame whose dates are those of WinCC's numbers: ``Time_ms`` holds millionths of days since 1899."""
+    names = {str(name).lower(): name for name in frame.columns}
+    if not {"timestring", "time_ms"} <= names.keys():
+        return frame
+    numbers = frame[names["time_ms"]]
+    if not pd.api.types.is_float_dtype(numbers.dtype) or not (numbers / 1e6).between(*_DAY_NUMBERS).all():
+        return frame
+    dates = pd.to_datetime(numbers / 1e6, unit="D", origin="1899-12-30").dt.round("ms")
+    return frame.assign(**{names["timestring"]: dates}).drop(columns=names["time_ms"])
+
+
 def dates_of_parts(frame: pd.DataFrame) -> Any:
-    """Return dates of columns such as year, month, day and hour; None without them."""
+    """Return dates or times of day from columns of parts."""
     parts = {str(name).strip().lower().rstrip("s"): column for name, column in frame.items()}
     parts = {name: parts[name] for name in ("year", "month", "day", "hour", "minute", "second") if name in parts}
     numeric = all(pd.api.types.is_numeric_dtype(column.dtype) for column in parts.values())
     others = [name for name in map(str, frame.columns) if is_time_name(name) and not name.lower().startswith("second")]
+    if {"year", "month", "day"}.isdisjoint(parts):
+        return _time_of_day(frame)
     if others or len(parts) < 4 or not {"year", "month", "day"} <= parts.keys() or not numeric:
         return None
     dates = pd.to_datetime(pd.DataFrame(parts), errors="coerce")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from contextlib import suppress
+from datetime import timezone
 from typing import Any
 
 import numpy as np
@@ -43,13 +44,22 @@ _REWRITTEN = (
     (re.compile(r"^(\d{1,3}:\d{2}[.,]\d+)$"), r"0:\1"),
     (re.compile(r" (?:UTC|GMT)$"), "Z"),
     (re.compile(r"^(\d{4})年(\d{1,2})月(\d{1,2})日 ?"), r"\1-\2-\3 "),
-    (re.compile(r"^[A-Z][a-z]{2} ([A-Z][a-z]{2}) (\d{1,2}) ([\d:.]+)(?: [A-Z]+)? (\d{4})$"), r"\2-\1-\4 \3"),
+    (re.compile(r"^[A-Z][a-z]{2} ([A-Z][a-z]{2}) (\d{1,2}) ([\d:.]+)( [A-Z][^ ]*)? (\d{4})$"), r"\2-\1-\5 \3\4"),
     (re.compile(r"^([A-Z][a-z]{2})[a-z]* (\d{1,2}),? (\d{4}),? "), r"\2-\1-\3 "),
     (re.compile(r"^(\d{1,2}) ([A-Z][a-z]{2})[a-z]* (\d{4}),? "), r"\1-\2-\3 "),
     (re.compile(r"^(\d{4}-\d{2}-\d{2})[-_ ](\d{2})-(\d{2})-(\d{2})$"), r"\1T\2:\3:\4"),
     (re.compile(r"^(\d+)d\s+(?=\d{1,2}:)"), r"\1 days "),
 )
 """Spellings of loggers and battery cyclers, and the usual ones."""
+_OFFSETS = """UTC=+00:00 GMT=+00:00 Z=+00:00 WET=+00:00 WEST=+01:00 BST=+01:00 CET=+01:00 MEZ=+01:00 CEST=+02:00
+MESZ=+02:00 EET=+02:00 EEST=+03:00 MSK=+03:00 EST=-05:00 EDT=-04:00 CST=-06:00 CDT=-05:00 MST=-07:00 MDT=-06:00
+PST=-08:00 PDT=-07:00 JST=+09:00 AEST=+10:00 AEDT=+11:00"""
+_ZONES = {zone: offset for zone, _, offset in (each.partition("=") for each in _OFFSETS.split())}
+"""Offsets of zones from UTC; only their differences matter to times from the first sample."""
+_ZONED = re.compile(
+    rf"(?P<local>.*\d(?: [AaPp][Mm])?)\s?"
+    rf"(?:(?P<zone>{'|'.join(_ZONES)})|(?:GMT|UTC)?(?P<offset>[+-]\d{{2}}:?(?:\d{{2}})?))"
+)
 _HALF_DAY = re.compile(r"\d{1,2}:\d{2}(:\d{2}(\.\d+)?)? [ap]m", re.IGNORECASE)
 _HOUR, _DAY = 3600.0, 86_400.0
 
@@ -134,13 +144,20 @@ def seconds_of(dates: pd.Series[Any]) -> tuple[Any, pd.Timestamp]:
     return (dates - begin).dt.total_seconds(), begin
 
 
-def check_local_times(dates: pd.Series[Any], seconds: Floats, column: str, source: str) -> None:
-    """Refuse dates without an offset that go back by one hour once."""
+def check_local_times(dates: pd.Series[Any], clock: tuple[Floats, pd.Timestamp], column: str, source: str) -> None:
+    """Refuse local dates that go back or leap by one hour."""
+    seconds, begin = clock
     steps = np.diff(seconds)
-    back = np.flatnonzero(steps < 0)
-    if back.size == 1 and 0 <= steps[back[0]] + _HOUR <= 2 * np.median(steps):
-        before, after = dates.iloc[back[0] : back[0] + 2]
-        said = f"goes back by an hour in row {back[0] + 2} ({before} to {after})"
+    usual = float(np.median(steps)) if steps.size else 0.0
+    back, leaps = np.flatnonzero(steps < 0), np.flatnonzero(steps > 1.5 * usual)
+    for places, way, hour in ((back, "goes back", _HOUR), (leaps, "leaps", -_HOUR)):
+        if places.size != 1 or not 0 <= steps[places[0]] + hour <= 2 * usual:
+            continue
+        night = begin + pd.Timedelta(seconds=float(seconds[places[0]]))
+        if hour < 0 and (night.day_of_week != 6 or night.hour > 2):  # clocks are put forward on Sundays
+            continue
+        before, after = dates.iloc[places[0] : places[0] + 2]
+        said = f"{way} by an hour in row {places[0] + 2} ({before} to {after})"
         raise InputError(f"{source}: time column {column!r} {said}. Write times in UTC or with offsets (+01:00).")
 
 
@@ -157,6 +174,8 @@ def _dates(texts: pd.Series[Any], column: str, source: str) -> pd.Series[Any] | 
         if re.search(_OFFSET, str(texts.iloc[0])) and texts.str.contains(_OFFSET, regex=True).all():
             in_utc = pd.to_datetime(texts, format="ISO8601", utc=True)
             return in_utc.dt.tz_convert(pd.Timestamp(texts.iloc[0]).tz)
+    if _ZONED.fullmatch(str(texts.iloc[0])):
+        return _zoned(texts, column, source)
     if not _DATED.search(str(texts.iloc[0])) or not texts.str.contains(_DATED).all():
         return None
     points = texts.str.replace(",", ".")
@@ -171,6 +190,21 @@ def _dates(texts: pd.Series[Any], column: str, source: str) -> pd.Series[Any] | 
         said = f"day and month of {texts.iloc[0]!r} are ambiguous"
         raise InputError(f"{source}: column {column!r}: {said}. Write dates as 2026-02-28 12:00:00.")
     return readings[0] if readings else None
+
+
+def _zoned(texts: pd.Series[Any], column: str, source: str) -> pd.Series[Any] | None:
+    """Return dates with a zone or an offset at their end."""
+    cells = texts.map(_ZONED.fullmatch)
+    if cells.isna().any():
+        return None
+    local = _dates(cells.map(lambda cell: cell["local"]), column, source)
+    if local is None or local.dt.tz is not None:
+        return local
+    offsets = cells.map(lambda cell: (cell["offset"] or _ZONES[cell["zone"]]).replace(":", "").ljust(5, "0"))
+    known = {each: pd.Timedelta(f"{each[0]}{each[1:3]}:{each[3:]}:00") for each in offsets.unique()}
+    utc = (local - offsets.map(known)).dt.tz_localize("UTC")
+    found: pd.Series[Any] = utc.dt.tz_convert(timezone(known[offsets.iloc[0]].to_pytimedelta()))
+    return found
 
 
 def _leaps(dates: pd.Series[Any]) -> bool:

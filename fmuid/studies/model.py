@@ -270,10 +270,11 @@ class ExperimentSettings(DataSection):
 
     def read_frame(self, table: Path, source: str | None = None) -> pd.DataFrame:
         """Read a data file before ``[experiments.preprocess]``."""
-        from fmuid.data import read_data
+        from fmuid.data import in_time_of_model, read_data
 
         how = {key: getattr(self, key) for key in ("time_unit", "sample_rate", "sheet", "missing", "clocks")}
-        return read_data(table, self.time if self.in_time else None, **how, source=source or str(table))
+        frame = read_data(table, self.time if self.in_time else None, **how, source=source or str(table))
+        return in_time_of_model(frame, self.time, self.model_time_unit) if self.in_time else frame
 
     def experiment(self, frame: pd.DataFrame, source: str, *, measured: bool = True) -> Experiment:
         """Return the experiment of a frame; outputs that are not `measured` need no column."""

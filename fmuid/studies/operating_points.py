@@ -12,7 +12,7 @@ from fmuid.studies.section import Settings, StudySection, entry
 from fmuid.units import TIME_UNITS
 
 KINDS = ("time", "steady", "frequency")
-OF_TIME = ("time", "time_unit", "sample_rate", "clocks", "interpolation", "warmup", "observation")
+OF_TIME = ("time", "time_unit", "model_time_unit", "sample_rate", "clocks", "interpolation", "warmup", "observation")
 """Keys that need a time."""
 OF_KIND = {"steady": ("frame", "guess"), "frequency": ("frequency", "responses", "point")}  # keys of each other kind
 Responses = Annotated[dict[str, Annotated[Response, Settings()]], kinds.Entries("{ name = section }")]
@@ -25,6 +25,9 @@ class DataSection(StudySection):
     time: kinds.NameOrPlace = entry("time", "time column, by name or number from 1")
     time_unit: Annotated[str, kinds.one_of(TIME_UNITS)] | None = entry(
         None, "unit of the time column; default: that of the file, else s"
+    )
+    model_time_unit: Annotated[str, kinds.one_of(TIME_UNITS)] = entry(
+        "s", "unit in which the FMU counts time; times of the data are converted", "h"
     )
     sample_rate: kinds.Positive | None = entry(None, "samples per second, for data without times or with coarse ones")
     sheet: kinds.NameOrPlace | None = entry(None, "sheet, by name or number from 1; default: the first with data")

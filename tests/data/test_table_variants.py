@@ -29,7 +29,7 @@ OTHERWISE |= {
 }
 """Variants that are read, and are other numbers or names; `tests.studies.test_tables_to_estimates` has them all."""
 WRITERS = {name: each for name, each in writers().items() if name not in {*OTHERWISE, *SAID}}
-FACTORS = {"rpm": np.pi / 30, "1/min": np.pi / 30, "n/min": np.pi / 30, "mV": 1e-3, "kV": 1e3, "mA": 1e-3}
+FACTORS = {"rpm": np.pi / 30, "1/min": np.pi / 30, "n/min": np.pi / 30, "mV": 1e-3, "kV": 1e3, "mA": 1e-3, "kA": 1e3}
 
 
 def check(found: Experiment) -> None:

@@ -14,7 +14,7 @@ from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 from scipy.linalg import expm
 
-from tests.support import historian_texts, instrument_texts, logger_texts
+from tests.support import bench_texts, historian_texts, instrument_texts, logger_texts
 from tests.support.mat4 import characters, write_mat4
 
 MODEL = """
@@ -224,7 +224,7 @@ TEXTS: dict[str, tuple[str, str | bytes]] = {
 }  # fmt: skip
 
 
-for _texts in (instrument_texts, logger_texts, historian_texts):
+for _texts in (instrument_texts, logger_texts, historian_texts, bench_texts):
     TEXTS |= _texts.texts(FRAME, DATES)
 
 
@@ -442,6 +442,11 @@ FILES: dict[str, Write] = {
     "tables.xlsx": lambda path: write_rows(path, [*FRAME], *FRAME.to_numpy().tolist(), [*FRAME]),
     "page.xls": lambda path: path.write_text(FRAME.to_html()),
     "a.mdf": write_mdf,
+    "comtrade.dat": lambda path: bench_texts.write_comtrade(path, FRAME),
+    "comtrade.cfg": lambda path: bench_texts.write_comtrade(path, FRAME),
+    "comtrade.cff": lambda path: bench_texts.write_comtrade(path, FRAME),
+    "pscad_01.out": lambda path: bench_texts.write_pscad(path, FRAME),
+    "commas.xlsx": lambda path: FRAME.map(lambda cell: repr(cell).replace(".", ",")).to_excel(path, index=False),
 }  # fmt: skip
 
 
@@ -481,6 +486,12 @@ SAID = {
     "tables.xlsx": "row 121 of the samples has no number. Keep one table",
     "three levels": "rows of three levels",
     "JSON of nested lists": "column 'data' has lists in its cells",
+    "a gain below the names": "line 'Gain' scales samples (0.1, 0.1, 1)",
+    "a factor above": "line 'Scale factor' scales samples (10)",
+    "thousands that read as decimals": "may be thousands",
+    "units below samples": "line 122 has units",
+    "COMTRADE without scales": "rows of COMTRADE without scales",
+    "commands of SQL": "commands of SQL",
     "lost.mat": "'w': 60 samples in place of 120",
     "lost.h5": "'w': 60 samples in place of 120",
 }

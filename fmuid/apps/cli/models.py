@@ -47,6 +47,7 @@ def init(
     time_unit: Annotated[
         str | None, Option(metavar="UNIT", help="s, ms, us, ns, min, h or d (default: as the file says).")
     ] = None,
+    model_time_unit: Annotated[str, Option(metavar="UNIT", help="Unit in which the FMU counts time.")] = "s",
     sample_rate: Annotated[
         float | None, Option(metavar="HZ", help="Samples per second, for data without times.")
     ] = None,
@@ -84,6 +85,7 @@ def init(
         {word: studies.value_of(text) for word, text in words.items()},
         _pairs(unit or (), "--unit", "variable=unit", "w=rpm"),
         kind=kind,
+        model_time_unit=model_time_unit,
     )
     found = studies.match_data_files(fmu, data, asked)
     if preview:

@@ -16,6 +16,12 @@ from fmuid.units import parse_unit
 _WITH_UNIT = re.compile(r"\s*(?P<number>[+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*(?P<unit>[^\d\s.,:].*?)\s*")
 
 
+def number_in(cell: str) -> str | None:
+    """Return the number of a cell with a known unit; None of others."""
+    found = _WITH_UNIT.fullmatch(cell)
+    return found["number"] if found is not None and is_unit(found["unit"]) else None
+
+
 def without_units(column: pd.Series[Any], decimal: str) -> tuple[pd.Series[Any], str | None]:
     """Return numbers of cells with units, in the first unit; other columns as they are.
 

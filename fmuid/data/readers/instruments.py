@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
+from fmuid.data.cells import is_number
 from fmuid.errors import InputError
 
 _KEPT = ("Samples", "Delta_X", "Y_Unit_Label")
@@ -88,6 +89,23 @@ def _twincat(lines: Sequence[str]) -> RewrittenHead:
     return RewrittenHead([lines[place][4].join(heads)], blank + 1)
 
 
+def _tecplot(lines: Sequence[str]) -> RewrittenHead:
+    """Return the head of Tecplot: names in VARIABLES, then zones."""
+    count = next(k for k, line in enumerate(lines) if line.strip() and all(map(is_number, line.split())))
+    head = "\n".join(lines[:count])
+    said, _, zone = re.split(r"VARIABLES\s*=", head, maxsplit=1, flags=re.IGNORECASE)[1].partition("ZONE")
+    if re.search(r"=\s*F?BLOCK", zone, re.IGNORECASE):
+        raise ValueError
+    names = re.findall(r'"([^"]*)"', said) or said.replace(",", " ").split()
+    return RewrittenHead([" ".join(f'"{name}"' for name in names)], count)
+
+
+def _ignition(lines: Sequence[str]) -> RewrittenHead:
+    """Return the head of Ignition: names, types and the number of rows, each below its key."""
+    count = next(k for k, line in enumerate(lines) if line.startswith(('"#ROWS', "#ROWS")))
+    return RewrittenHead([lines[1]], count + 1)
+
+
 def _text_of_dymola(_lines: Sequence[str], source: str) -> Iterator[str]:
     raise InputError(f"{source}: a text result of Dymola. Save it as .mat or .csv.")
 
@@ -111,6 +129,8 @@ _HEADS: tuple[tuple[re.Pattern[str], Callable[[Sequence[str]], RewrittenHead]], 
     (re.compile(r"LabVIEW Measurement\b"), _labview),
     (re.compile(r"[^\n]* ASCII FILE\s*\nNb header lines *: *\d+"), _after_said_lines),
     (re.compile(r"Name\W[^\n]*\nFile\W[^\n]*\n\"?Starttime of export\W"), _twincat),
+    (re.compile(r"(?:\s*(?:#|TITLE\s*=)[^\n]*\n)*\s*VARIABLES\s*=", re.IGNORECASE), _tecplot),
+    (re.compile(r"\"?#NAMES\"?\s*\n"), _ignition),
     (re.compile(r"X,.*\bStart,Increment\b.*\n"), _numbered),
 )
 """The same where only lines above the samples are rewritten."""

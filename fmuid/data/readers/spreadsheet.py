@@ -25,7 +25,7 @@ def read_spreadsheet(path: Path, source: str, sheet: str | int | None) -> FileCo
         widest = range(max(map(len, filled), default=0))
         columns = [k for k in widest if not all(is_missing(row[k]) for row in filled)]
         rows = [[row[k] for k in columns] for row in filled]
-        head = find_head(rows)
+        head = find_head(rows) or find_head(rows, ",")
         tables += [] if head is None else [(rows[head.first :], head)]
         if tables and len(tables[0][0]) >= 10:  # no summary
             break
@@ -37,7 +37,7 @@ def read_spreadsheet(path: Path, source: str, sheet: str | int | None) -> FileCo
     check_units(head, source)
     for k, row in enumerate(samples, start=1):
         texts = [cell for cell in row if isinstance(cell, str) and not is_missing(cell)]
-        if 2 * sum(not may_be_number(cell, ".") for cell in texts) > len(row):
+        if 2 * sum(not (may_be_number(cell, ".") or may_be_number(cell, ",")) for cell in texts) > len(row):
             raise InputError(f"{source}: row {k} of the samples has no number. Keep one table in a sheet.")
     return _columns(samples, head, path)
 

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import codecs
 import csv
-import gzip
 import io
 import re
 import warnings
-import zipfile
-import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -22,11 +19,25 @@ import numpy as np
 import pandas as pd
 
 from fmuid.data.cells import NO_SAMPLE, is_missing, is_number, may_be_number, numbers_of
-from fmuid.data.headers import RawTable, TableHeader, check_once, check_units, find_head, named
+from fmuid.data.headers import RawTable, TableHeader, check_once, check_units, find_head, is_unit, named
 from fmuid.data.readers.cell_units import without_units
 from fmuid.data.readers.encodings import decoded
 from fmuid.data.readers.instruments import head_of, rewriter_of
-from fmuid.data.readers.text_rows import SPACES, is_text_row, plain_row, rows_of, without_blank_ends
+from fmuid.data.readers.row_checks import check_rows
+from fmuid.data.readers.sidecars import rewriter_beside
+from fmuid.data.readers.text_rows import (
+    SPACES,
+    Rows,
+    as_written,
+    is_text_row,
+    plain_row,
+    rows_of,
+    with_listed_names,
+    with_row_numbers,
+    without_blank_ends,
+    without_cell_units,
+)
+from fmuid.data.readers.unpacking import opener
 from fmuid.errors import InputError
 from fmuid.formatting import bounded
 
@@ -37,11 +48,16 @@ _END = 1 << 14
 _SEPARATORS = (",", ";", "\t", "|", SPACES)
 _SPREADSHEET = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
 """First bytes of .xlsx, .ods and .zip, and of .xls."""
-_OF_MACS = re.compile(r"(^|/)(__MACOSX/|\.)")
-"""Entries that a Mac adds to archives."""
 _TOO_MANY = re.compile(r"in line (?P<row>\d+), saw (?P<cells>\d+)")
 _OPEN_QUOTE = re.compile(r"inside string starting at row (?P<row>\d+)")
 """What pandas' parser says."""
+_REPAIRS: tuple[Callable[[Rows, str], Rows], ...] = (
+    as_written,
+    with_row_numbers,
+    with_listed_names,
+    without_cell_units,
+)
+"""How rows are read: as they are, else with what writers leave out or add."""
 _MARKS = sorted({form for mark in NO_SAMPLE if "inf" not in mark for form in (mark, mark.upper(), mark.title())})
 
 
@@ -59,7 +75,7 @@ class _Layout:
 
 def read_text(path: Path, source: str) -> RawTable:
     """Read delimited text, plain or packed; the separator gives the most numeric columns."""
-    opened = _opener(path, source)
+    opened = opener(path, source)
     with opened() as file:
         start = file.read(_LOOKED_AT)
     if start.startswith(_SPREADSHEET):
@@ -70,9 +86,13 @@ def read_text(path: Path, source: str) -> RawTable:
             raise InputError(f"{source}: not a text file. Give a table.")
         if text.lstrip("\ufeff \t\r\n").startswith(("<!", "<?", "<html", "<HTML", "<table")):
             raise InputError(f"{source}: a page in HTML or XML. Save it as .xlsx or .csv.")
+        if text.lstrip("\ufeff \t\r\n").upper().startswith(("CREATE TABLE", "INSERT INTO", "PRAGMA ", "BEGIN TRANS")):
+            raise InputError(f"{source}: commands of SQL. Export the rows as CSV.")
         with suppress(UnicodeDecodeError):  # further down: the next encoding is tried
             again = _as_utf8(opened, encoding, text)
-            rewrite = rewriter_of(text.removeprefix("\ufeff"))
+            rewrite = rewriter_beside(path, text.removeprefix("\ufeff"), source) or rewriter_of(
+                text.removeprefix("\ufeff")
+            )
             if rewrite is not None:
                 with again() as file:
                     lines = file.read().decode("utf-8-sig").splitlines()
@@ -131,7 +151,7 @@ def _as_utf8(opened: Callable[[], IO[bytes]], encoding: str, text: str) -> Calla
 
 def first_lines(path: Path, count: int) -> list[str]:
     """Return at most `count` first lines of a text file."""
-    with _opener(path, str(path))() as file:
+    with opener(path, str(path))() as file:
         start = file.read(_LOOKED_AT)
         text = next((text for _, text in decoded(start, whole=len(start) < _LOOKED_AT)), "\0")
     return [] if "\0" in text else text.splitlines()[:count]
@@ -177,53 +197,42 @@ def _says_nothing(line: str, layout: _Layout) -> bool:
     return len(row) < layout.width and not numeric and not line.lstrip("\"'+- ")[:1].isdigit()
 
 
-def _opener(path: Path, source: str) -> Callable[[], IO[bytes]]:
-    """Return an opener of the unpacked text."""
-    suffix = path.suffix.lower()
-    if suffix not in (".gz", ".zip"):
-        return lambda: path.open("rb")
-    try:
-        if suffix == ".gz":
-            return partial(io.BytesIO, gzip.decompress(path.read_bytes()))
-        with zipfile.ZipFile(path) as archive:
-            inside = [each for each in archive.namelist() if not each.endswith("/") and not _OF_MACS.search(each)]
-            if len(inside) != 1:
-                raise InputError(f"{source}: {len(inside)} files in the archive. Pack the table alone.")
-            return partial(io.BytesIO, archive.read(inside[0]))
-    except (OSError, EOFError, zlib.error, zipfile.BadZipFile, RuntimeError):  # the last of what is encrypted
-        raise InputError(f"{source}: cannot be unpacked. Pack it again, or give the plain text.") from None
-
-
 def _layout(source: str, text: str) -> _Layout:
     """Return the layout with the most numeric columns."""
     best, most = None, 0
+    for repair in _REPAIRS:
+        if most > 1:
+            break
+        columns, found = _best_layout(source, text, repair)
+        best, most = (found, columns) if columns > most else (best, most)
+    best = best or _as_it_is(source, text)
+    check_units(best.head, source)
+    return best
+
+
+def _best_layout(source: str, text: str, repair: Callable[[Rows, str], Rows]) -> tuple[int, _Layout | None]:
+    """Return the most numeric columns of repaired rows and their layout."""
+    best, most, seen = None, 0, list[list[str]]()
     for separator in _SEPARATORS:
         try:
             read = list(islice(rows_of(io.StringIO(text), separator), 200))
         except csv.Error:  # no table with this separator
             continue
-        rows, blank = without_blank_ends([plain_row(row, separator) for _, row in read])
+        read = repair([(line, plain_row(row, separator)) for line, row in read], text)
+        rows, blank = without_blank_ends([row for _, row in read])
         for decimal in (".", ","):
             head = find_head(rows, decimal)
-            _check_levels(rows, head, source)
             if head is None or (len(head.names) == 1 and decimal == ",") or _is_numbers(head.names):
                 continue  # "0,1" alone may as well be two cells
             columns = _numeric_columns(rows[head.first :], len(head.names), decimal)
             if columns > most:
                 width = len(head.names) + blank
                 fast = separator != SPACES and f"{separator} " not in text
-                most, best = columns, _Layout(separator, decimal, head, read[head.first - 1][0], width, fast)
-    best = best or _as_it_is(source, text)
-    check_units(best.head, source)
-    return best
-
-
-def _check_levels(rows: Sequence[Sequence[str]], head: TableHeader | None, source: str) -> None:
-    """Refuse rows of cycles, steps and records, whose headers stand like stairs."""
-    above = [] if head is None else rows[max(head.first - 3, 0) : head.first]
-    blanks = [next((k for k, cell in enumerate(row) if cell.strip()), 0) for row in above]
-    if blanks == [0, 1, 2] and not any(is_number(cell) for row in above for cell in row):
-        raise InputError(f"{source}: rows of three levels. Export the last one alone, with a total time.")
+                most, seen = columns, rows
+                best = _Layout(separator, decimal, head, read[head.first - 1][0], width, fast)
+    if best is not None:
+        check_rows(seen, best.head, best.decimal, source)
+    return most, best
 
 
 def _numeric_columns(rows: Sequence[Sequence[str]], names: int, decimal: str) -> int:
@@ -232,8 +241,8 @@ def _numeric_columns(rows: Sequence[Sequence[str]], names: int, decimal: str) ->
     regular = regular[: next((k for k, row in enumerate(regular) if is_text_row(row, decimal)), None)]
     columns = list(zip(*regular, strict=True))
     return sum(
-        any(is_number(cell, decimal) for cell in column)
-        and all(is_number(cell, decimal) or is_missing(cell) for cell in column)
+        any(may_be_number(cell, decimal) for cell in column)
+        and all(may_be_number(cell, decimal) or is_missing(cell) for cell in column)
         for column in columns
     )
 
@@ -334,6 +343,8 @@ def _check_block(opened: Callable[[], IO[bytes]], layout: _Layout, source: str) 
         rows = ((line, row) for line, row in rows_of(text, layout.separator) if line > layout.line)
         samples = dropwhile(lambda each: is_text_row(each[1], layout.decimal), rows)
         found = next(((line, row) for line, row in samples if is_text_row(row, layout.decimal)), None)
+    if found is not None and all(is_unit(cell.strip("[]() ")) for cell in found[1]):
+        raise InputError(f"{source}: line {found[0]} has units. Move it below the header.")
     if found is not None:
         said = f"line {found[0]} among the samples has no number ({bounded(' '.join(found[1]).strip(), 30)!r})"
         raise InputError(f"{source}: {said}. Remove it, or keep one table in a file.")

@@ -20,6 +20,7 @@ from fmuid.data import (
     Experiment,
     dropouts,
     far_values,
+    in_time_of_model,
     read_data,
     time_name,
     with_missing,
@@ -51,6 +52,7 @@ class InitOptions:
     units: Mapping[str, str] = field(default_factory=dict)
     missing: tuple[float, ...] = ()
     kind: str = "time"
+    model_time_unit: str = "s"
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +74,8 @@ class MatchedDataFile:
         """Read a data file."""
         how = {word: getattr(asked, word) for word in ("time_unit", "sample_rate", "sheet")}
         frame = read_data(path, asked.time if asked.kind == "time" else None, **how)
+        if asked.kind == "time":
+            frame = in_time_of_model(frame, asked.time, asked.model_time_unit)
         numbers = {str(name): column for name, column in frame.select_dtypes("number").items() if name != asked.time}
         found = {name: far_values(np.asarray(column, dtype=np.float64)) for name, column in numbers.items()}
         marks = {name: own for name, own in found.items() if own and set(own) <= set(COMMON_MARKS)}

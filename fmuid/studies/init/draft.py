@@ -145,6 +145,7 @@ def _experiment(record: MatchedDataFile, output: Path, name: str, *, first: bool
     clock = "  # or the name of the time column: Time (ms), t, timestamp" if first else ""
     guessed = "" if record.units == asked.units else "  # guessed from names of columns"
     said = {"time_unit": asked.time_unit, "sample_rate": asked.sample_rate, "sheet": asked.sheet}
+    said |= {"model_time_unit": None if asked.model_time_unit == "s" else asked.model_time_unit}
     return [
         "[[experiments]]" + ("  # repeat this section for each experiment" if first else ""),
         f"data = {toml_text(relative(record.path, output.parent))}",

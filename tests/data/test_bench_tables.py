@@ -1,0 +1,111 @@
+"""Tables of benches beyond those of `tests.support.bench_texts`: clocks of regions, second files, units of time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from fmuid import InputError, Study, datasets, read_data
+from tests.support.bench_texts import COMTRADE
+
+HOUR = 3600.0
+
+
+def local_times(day: str, form: str) -> str:
+    """Return a table over a change of the clock in Berlin, a row each 10 minutes."""
+    utc = pd.date_range(f"{day} 00:00", periods=12, freq="10min", tz="UTC").tz_convert(ZoneInfo("Europe/Berlin"))
+    return "time;u\n" + "".join(f"{date.strftime(form)};{k}\n" for k, date in enumerate(utc))
+
+
+@pytest.mark.parametrize("day", ["2026-10-25", "2026-03-29"])
+@pytest.mark.parametrize("form", ["%d.%m.%Y %H:%M:%S %Z", "%d.%m.%Y %H:%M:%S %z", "%a %b %d %H:%M:%S %Z %Y"])
+def test_zones_by_name_and_offset(tmp_path: Path, day: str, form: str) -> None:
+    (tmp_path / "a.csv").write_text(local_times(day, form))
+    frame = read_data(tmp_path / "a.csv")
+    np.testing.assert_array_equal(frame["time"], 600.0 * np.arange(12))
+    assert frame.attrs["begin"] == pd.Timestamp(f"{day} 00:00", tz="UTC")
+
+
+@pytest.mark.parametrize(("day", "way"), [("2026-10-25", "goes back"), ("2026-03-29", "leaps")])
+def test_local_times_over_a_change_of_the_clock(tmp_path: Path, day: str, way: str) -> None:
+    (tmp_path / "a.csv").write_text(local_times(day, "%d.%m.%Y %H:%M:%S"))
+    with pytest.raises(InputError, match=rf"{way} by an hour in row 7 .*with offsets \(\+01:00\)"):
+        read_data(tmp_path / "a.csv")
+
+
+def test_a_missing_hour_on_another_night(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(local_times("2026-03-29", "%d.%m.%Y %H:%M:%S").replace("29.03", "30.03"))
+    assert read_data(tmp_path / "a.csv")["time"].iloc[-1] == 600.0 * 11 + HOUR
+
+
+def test_unit_of_the_time_in_the_model(tmp_path: Path) -> None:
+    """Dates and numbers come to hours of the FMU; a unit of numbers is refused for dates."""
+    hours = pd.Timestamp("2026-11-28") + pd.to_timedelta(np.arange(5), unit="h")
+    pd.DataFrame({"time": hours, "u": 1.0, "i": np.arange(5)}).to_csv(tmp_path / "dated.csv", index=False)
+    pd.DataFrame({"time [min]": 60.0 * np.arange(5), "u": 1.0, "i": np.arange(5)}).to_csv(
+        tmp_path / "minutes.csv", index=False
+    )
+    with pytest.raises(InputError, match=r"has dates; time_unit is for numbers\. Remove it, or set model_time_unit"):
+        read_data(tmp_path / "dated.csv", time_unit="h")
+    data = {**datasets.coil().study}
+    for name in ("dated.csv", "minutes.csv"):
+        roles = {"data": name, "inputs": ["u"], "outputs": ["i"], "model_time_unit": "h"}
+        study = Study.of({**data, "experiments": [roles]}, tmp_path / "study.toml")
+        np.testing.assert_allclose(study.problem().experiments[0].times, np.arange(5.0), rtol=1e-12)
+
+
+def test_secondary_values_of_comtrade_become_primary(tmp_path: Path) -> None:
+    settings = COMTRADE.replace("1,u,,,V,1e-12,0,0,-32767,32767,1,1,P", "1,u,,,V,0.5,2,0,-32767,32767,100,5,s")
+    (tmp_path / "a.CFG").write_text(settings)
+    (tmp_path / "a.DAT").write_text("1,0,10,0,0\r\n2,10000,99999,0,0\r\n3,20000,-10,0,0\r\n\x1a")
+    frame = read_data(tmp_path / "a.DAT")
+    np.testing.assert_allclose(frame["time"], [0.0, 0.01, 0.02])
+    np.testing.assert_allclose(frame["u"], [140.0, np.nan, -60.0])
+    assert frame.attrs["units"]["u"] == "V"
+
+
+@pytest.mark.parametrize(
+    ("settings", "row", "said"),
+    [
+        (COMTRADE.replace("ASCII", "BINARY"), "1,0,1,1,1", "in binary form. Convert it to ASCII"),
+        (COMTRADE, "1,0,1,1", "row 1 has other cells than its .cfg says"),
+        (COMTRADE[:40], "1,0,1,1,1", "damaged text of an instrument"),
+    ],
+)
+def test_comtrade_that_is_not_read(tmp_path: Path, settings: str, row: str, said: str) -> None:
+    (tmp_path / "a.cfg").write_text(settings)
+    (tmp_path / "a.dat").write_text(f"{row}\n{row.replace('1', '2', 1)}\n")
+    with pytest.raises(InputError, match=said):
+        read_data(tmp_path / "a.dat")
+
+
+def test_files_beside_must_fit(tmp_path: Path) -> None:
+    (tmp_path / "a.cfg").write_text(COMTRADE)
+    with pytest.raises(InputError, match=r"without samples\. Put the \.dat file beside it"):
+        read_data(tmp_path / "a.cfg")
+    (tmp_path / "b.inf").write_text('PGB(1) Output Desc="u" Group="" Units="kV"\n')
+    (tmp_path / "b_01.out").write_text("0 1 2\n1 1 2\n")
+    with pytest.raises(InputError, match=r"rows have other cells than the \.inf file says"):
+        read_data(tmp_path / "b_01.out")
+
+
+def test_a_unit_of_all_signals_above_the_header(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("Units,mV\ntime,u,v\n0,1,2\n1,3,4\n")
+    assert read_data(tmp_path / "a.csv").attrs["units"] == {"u": "mV", "v": "mV"}
+
+
+def test_seconds_that_pause_are_no_times_in_digits(tmp_path: Path) -> None:
+    """A pause of 40 s alone tells no clock such as 125959: samples must be regular on that clock."""
+    seconds = 12300 + np.r_[np.arange(40.0, 58.0), np.arange(100.0, 120.0)]
+    (tmp_path / "a.csv").write_text("time,u\n" + "".join(f"{each},1\n" for each in seconds))
+    np.testing.assert_array_equal(read_data(tmp_path / "a.csv")["time"], seconds)
+
+
+def test_a_header_that_lacks_a_name_is_no_row_number(tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_text("time u\n" + "".join(f"{k} {0.5 * k} 3\n" for k in range(1, 9)))
+    with pytest.raises(InputError):
+        read_data(tmp_path / "a.txt")
