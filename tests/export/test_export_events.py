@@ -66,19 +66,6 @@ LOCATED = {
 """Expressions, and their integrals over one second with u = t and w = 1 - t."""
 
 
-def test_events_are_located(exported: Exporter) -> None:
-    with running(exported(integrals(LOCATED))) as test:
-        for steps in ([1.0], [0.125] * 8, [0.3, 0.5, 0.2]):
-            test.initialize({"u": 0.0, "w": 1.0})
-            test.slope("u", 1.0)
-            test.slope("w", -1.0)
-            test.run(*steps)
-            for k, (expression, expected) in enumerate(LOCATED.items(), 1):
-                accuracy = 1e-3 if "sqrt" in expression else 1e-11  # a root's slope is infinite where it begins
-                assert test.get(f"x{k}")[0] == pytest.approx(expected, abs=accuracy), expression
-            test.fmu.reset()
-
-
 @both_versions
 def test_relations_are_frozen_in_continuous_time_mode(exported: Exporter, fmi: str) -> None:
     text = model("y = if x > a and not w >= 2 then 10 else -10*x;")
@@ -216,15 +203,18 @@ JUMPS = {
 """Expressions, and their integrals over one second with u = t."""
 
 
-def test_jumps_are_located(exported: Exporter) -> None:
+@pytest.mark.parametrize("expected", [LOCATED, JUMPS], ids=["events", "jumps"])
+def test_events_are_located(exported: Exporter, expected: dict[str, float]) -> None:
     """Some steps hold more than one jump."""
-    with running(exported(integrals(JUMPS))) as test:
+    with running(exported(integrals(expected))) as test:
         for steps in ([1.0], [0.125] * 8, [0.3, 0.5, 0.2]):
-            test.initialize()
+            test.initialize({"u": 0.0, "w": 1.0})
             test.slope("u", 1.0)
+            test.slope("w", -1.0)
             test.run(*steps)
-            for k, (expression, expected) in enumerate(JUMPS.items(), 1):
-                assert test.get(f"x{k}")[0] == pytest.approx(expected, abs=1e-11), expression
+            for k, (expression, value) in enumerate(expected.items(), 1):
+                accuracy = 1e-3 if "sqrt" in expression else 1e-11  # a root's slope is infinite where it begins
+                assert test.get(f"x{k}")[0] == pytest.approx(value, abs=accuracy), expression
             test.fmu.reset()
 
 

@@ -1,5 +1,7 @@
 """The line of a verdict, whatever its parameters are called; rows of assumptions and their effects."""
 
+from dataclasses import replace
+
 import pytest
 
 from fmuid import Study
@@ -12,6 +14,7 @@ from tests.support.coil_study import STUDY, coil_table
 
 DEFECTS = {"frequency": 50.0, "ratio": 2.4, "limit": 5.0, "samples": 9.0, "share": 0.31, "factor": 2.2}
 DEFECTS |= {"row": 7.0, "rows": 2.0, "size": 12.0}
+BOUNDED = (AccuracyOutcome.FAILED.value, AccuracyOutcome.COUPLED.value)
 VALUES = {"fit": 12.4, "ratio": 5.42, "shift": 0.81, "probability": 3e-4, "widening": 1.9}
 
 
@@ -19,37 +22,28 @@ def test_reasons_and_messages_are_the_same_in_one_order() -> None:
     assert [each.name for each in VerdictMessage] == [each.name for each in Reason]
 
 
-@pytest.mark.parametrize("kind", ErrorKind)
-def test_each_model_error_is_said_with_its_remedy(kind: ErrorKind) -> None:
-    error = Doubt(Reason.MODEL_ERROR, (kind.value, "R", "V", "u", "i"), {"size": 0.021, "std": 0.004, "shift": 3.2})
-    words, remedy = reason_words(Verdict((error,))), remedy_words(Verdict((error,)))
-    assert words and remedy and "{" not in words + remedy
-    assert reason_words(Verdict((), (error,))) == f"freed: {words}"
-
-
-@pytest.mark.parametrize("kind", DefectKind)
-def test_each_defect_of_data_is_said(kind: DefectKind) -> None:
-    words = reason_words(Verdict((Doubt(Reason.DATA_DEFECT, (kind.value, "i", "run"), DEFECTS),)))
-    assert words and "{" not in words
-
-
-@pytest.mark.parametrize("outcome", [each for each in AccuracyOutcome if each.name not in ("PASSED", "SHIFTED")])
-@pytest.mark.parametrize("values", [{}, {"bound": 13.0}])
-def test_each_unknown_solver_error_is_said(outcome: AccuracyOutcome, values: dict[str, float]) -> None:
-    words = reason_words(Verdict((Doubt(Reason.SOLVER_UNCHECKED, (outcome.value,), values),)))
-    assert words.startswith("solver error unknown: ") and "{" not in words
-    if values and outcome in (AccuracyOutcome.FAILED, AccuracyOutcome.COUPLED):
-        assert "13 σ" in words
-
-
+ERROR = {"size": 0.021, "std": 0.004, "shift": 3.2}
+OPEN = [each.value for each in AccuracyOutcome if each.name not in ("PASSED", "SHIFTED")]
 NAMED = (Reason.MODEL_ERROR, Reason.DATA_DEFECT, Reason.SOLVER_UNCHECKED)  # by their kinds
+DOUBTS = [Doubt(Reason.MODEL_ERROR, (kind.value, "R", "V", "u", "i"), ERROR) for kind in ErrorKind]
+DOUBTS += [Doubt(Reason.DATA_DEFECT, (kind.value, "i", "run"), DEFECTS) for kind in DefectKind]
+DOUBTS += [Doubt(Reason.SOLVER_UNCHECKED, (each,), values) for each in OPEN for values in ({}, {"bound": 13.0})]
+DOUBTS += [Doubt(each, names, VALUES) for each in Reason if each not in NAMED for names in (("y", "run", "u"), ())]
 
 
-@pytest.mark.parametrize("reason", [each for each in Reason if each not in NAMED])
-def test_each_reason_is_said(reason: Reason) -> None:
-    words = reason_words(Verdict((Doubt(reason, ("y", "run", "u"), VALUES), Doubt(reason, ("x", "run", "v"), VALUES))))
+@pytest.mark.parametrize("doubt", DOUBTS, ids=lambda each: " ".join((each.reason.value, *each.subject[:1])))
+def test_each_reason_is_said(doubt: Doubt) -> None:
+    words = reason_words(
+        Verdict((doubt, replace(doubt, subject=("x", "run", "v")) if doubt.values == VALUES else doubt))
+    )
     assert words and "{" not in words
-    assert reason_words(Verdict((Doubt(reason, (), VALUES),)))
+    if doubt.reason is Reason.MODEL_ERROR:
+        words, remedy = (said(Verdict((doubt,))) for said in (reason_words, remedy_words))
+        assert remedy and "{" not in remedy
+        assert reason_words(Verdict((), (doubt,))) == f"freed: {words}"
+    if doubt.reason is Reason.SOLVER_UNCHECKED:
+        assert words.startswith("solver error unknown: ")
+        assert "13 σ" in words or not doubt.values or doubt.subject[0] not in BOUNDED
 
 
 def test_a_line_has_two_reasons_and_counts_the_others() -> None:
