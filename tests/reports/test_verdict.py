@@ -33,9 +33,8 @@ DOUBTS += [Doubt(each, names, VALUES) for each in Reason if each not in NAMED fo
 
 @pytest.mark.parametrize("doubt", DOUBTS, ids=lambda each: " ".join((each.reason.value, *each.subject[:1])))
 def test_each_reason_is_said(doubt: Doubt) -> None:
-    words = reason_words(
-        Verdict((doubt, replace(doubt, subject=("x", "run", "v")) if doubt.values == VALUES else doubt))
-    )
+    others = [replace(doubt, subject=("x", "run", "v"))] if doubt.values == VALUES and doubt.subject else []
+    words = reason_words(Verdict((doubt, *others)))
     assert words and "{" not in words
     if doubt.reason is Reason.MODEL_ERROR:
         words, remedy = (said(Verdict((doubt,))) for said in (reason_words, remedy_words))
