@@ -35,7 +35,7 @@ class EstimateSettings:
     """Numbers of the repetition for the noise variances."""
 
     variance_change: float = 0.02  # relative; needs another search; a smaller one moves estimates far below 1 σ
-    most_rounds: int = 10  # searches; one repetition is usual
+    most_rounds: int = 40  # searches; one repetition is usual, few points beside a prior take 20
     least_curvature: float = 0.05  # mean ψ′ of a robust loss; with many outliers it can be 0 or negative
 
 

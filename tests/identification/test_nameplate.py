@@ -10,10 +10,10 @@ import pytest
 
 import fmuid
 from fmuid import InputError, System
-from fmuid.data import Nameplate
-from fmuid.identification import nameplate_prior
+from fmuid.data import JointPrior, Nameplate, RotatingFrame, SteadyExperiment
+from fmuid.identification import find_contributions, nameplate_prior
 from tests.support.paths import FMUS
-from tests.support.resting import MACHINE, OMEGA, induction_machine
+from tests.support.resting import MACHINE, OMEGA, induction_machine, three_tests
 
 MODEL = FMUS / "InductionMachine/InductionMachine.fmu"
 PHASE = 400.0 / np.sqrt(3.0)
@@ -36,6 +36,18 @@ def plate_of(theta: dict[str, float], slip: float) -> dict[str, Any]:
         "Ts_Tn": f"{start / torque:.1f}",
         "Tb_Tn": f"{most / torque:.1f}",
     }
+
+
+def table_of(seed: int) -> SteadyExperiment:
+    """Return no-load and locked-rotor points with relative noise."""
+    table = three_tests()[:5]
+    table[["I", "P"]] *= 1.0 + np.array([0.002, 0.005]) * np.random.default_rng(seed).normal(size=(5, 2))
+    outputs, supply = {"I_rms": "I", "P": "P"}, RotatingFrame(50.0, "U", slip="s")
+    return SteadyExperiment(table, outputs=outputs, supply=supply, name="tests")
+
+
+def free() -> dict[str, fmuid.Parameter]:
+    return {name: fmuid.Parameter(1.2 * value, min=1e-3) for name, value in MACHINE.items()}
 
 
 def errors(count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -63,6 +75,47 @@ def test_forty_random_machines_have_honest_starts() -> None:
     assert np.median(np.abs(relative), axis=0).max() <= 0.025
     assert 0.9 < np.sqrt(np.mean(scores**2)) < 1.1
     assert np.sqrt(np.mean(scores**2, axis=0)) == pytest.approx(1.0, abs=0.12)
+
+
+@pytest.mark.parametrize("seed", [15, 24])
+def test_noise_of_five_points_settles_beside_a_nameplate(seed: int) -> None:
+    """Its variances need 12 repetitions and more; at the end they repeat themselves."""
+    prior = nameplate_prior(System.of(MODEL), Nameplate(**plate_of(MACHINE, 0.05)))
+    result = fmuid.identify(fmuid.Problem(MODEL, table_of(seed), free(), joint_prior=prior))
+    assert result.converged
+    last = result.history.rounds[-1]
+    for name in ("I_rms", "P"):
+        assert last[f"estimated.{name}"] == pytest.approx(last[f"used.{name}"], rel=0.02)
+
+
+@pytest.mark.parametrize(("factor", "contradicts"), [(1.0, False), (1.1, True)])
+def test_a_transient_tests_and_a_nameplate_narrow_every_interval(factor: float, contradicts: bool) -> None:
+    """A rotor that is 10 % warmer on the nameplate contradicts both others."""
+    data = fmuid.datasets.induction_machine()
+    levels = {"ids": 0.02, "iqs": 0.02, "I_rms": 0.004, "P": 2.0}
+    table = data.table[:60]
+    transient = fmuid.Experiment(table, data.inputs, data.outputs, name="transient", interpolation="linear")
+    plate = Nameplate(**plate_of(MACHINE | {"Rr": factor * MACHINE["Rr"]}, 0.05))
+    prior = nameplate_prior(System.of(MODEL), plate)
+
+    def fitted(experiments: list[fmuid.Experiment], prior: JointPrior | None) -> tuple[fmuid.Problem, fmuid.Result]:
+        names = [name for each in experiments for name in each.output_names]
+        noise = fmuid.Noise(std={name: levels[name] for name in names})
+        problem = fmuid.Problem(MODEL, experiments, free(), noise=noise, joint_prior=prior)
+        return problem, fmuid.identify(problem)
+
+    problem, result = fitted([transient, table_of(1)], prior)
+    assert result.converged
+    found = find_contributions(problem, result)
+    assert found is not None
+    if not contradicts:
+        pairs = [([transient, table_of(1)], None), ([transient], prior), ([table_of(1)], prior)]
+        brought = {each.experiment: each.widening for each in found.parts}
+        for name, pair in zip(("prior", "tests", "transient"), pairs, strict=True):
+            without = fitted(*pair)[1].std
+            assert (result.std < without).all()
+            np.testing.assert_allclose(brought[name], without / result.std, rtol=0.2)  # linear about other estimates
+    assert ("prior" in [each.experiment for each in found.contradictions]) is contradicts
 
 
 @pytest.mark.parametrize(
