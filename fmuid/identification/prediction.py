@@ -134,8 +134,8 @@ class Prediction:
 
     @property
     def table(self) -> pd.DataFrame:
-        """Time (s); measured, simulated, std, lower and upper of each output; inputs."""
-        columns: dict[str, Floats] = {"time": self.fit.times}
+        """Time (s), or row and inputs, or frequency; measured, simulated, std, lower and upper of each output."""
+        columns = dict(self.fit.axis) or {"time": self.fit.times}
         for j, output in enumerate(self.fit.outputs):
             simulated, half = self.fit.simulated[:, j], self.half_width[:, j]
             columns |= {

@@ -11,7 +11,8 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import BeforeValidator, Field, PlainValidator
 
-from fmuid.data import Noise, Parameter
+from fmuid.array_types import Floats
+from fmuid.data import Experiment, Noise, Parameter, response_of
 from fmuid.files import full, is_file
 from fmuid.formatting import nearest
 from fmuid.studies import value_kinds as kinds
@@ -128,26 +129,35 @@ class MonteCarloSection(StudySection):
     std: kinds.PositiveOrEach | None = entry(
         None, "σ of the white noise, for all outputs or each; default: from [noise]"
     )
+    reading_std: kinds.PositiveOrEach | None = entry(None, "σ as a fraction of each simulated reading")
     true_values: kinds.Finites = entry({}, "true values that differ from those of the case")
 
-    def std_of(self, output: str) -> float:
-        """Return σ of an output, in the unit of the data."""
-        assert isinstance(self.std, dict), "of a study, by `of`"
-        return self.std[output]
+    def levels(self, experiment: Experiment) -> Floats:
+        """Return σ (K, n_outputs) of an experiment with simulated outputs, in the units of the data."""
+        std, fractions = self.std, self.reading_std
+        assert isinstance(std, dict) and isinstance(fractions, dict), "of a study, by `of`"
+        found = np.ones(experiment.output_values.shape)
+        for column, name in zip(found.T, experiment.output_names, strict=True):
+            column *= fractions[name] * experiment.readings(name) if name in fractions else std[name]
+        return found
 
     def of(self, experiments: Sequence[ExperimentSettings], noise: Noise) -> Self:
-        """Return the section with σ of every output."""
+        """Return the section with σ of every output, or its fraction of each reading."""
         outputs = tuple(dict.fromkeys(name for given in experiments for name in given.output_names))
-        given = self.std if isinstance(self.std, dict) else dict.fromkeys(outputs, self.std)
-        for name in given:
-            if name not in outputs:
-                raise self.error(f"unknown output {name!r}{nearest(name, outputs)}", "std")
-        variances = zip(outputs, noise.known(outputs).tolist(), strict=True)
-        stds = {name: given.get(name) or math.sqrt(variance) for name, variance in variances}
-        for name, std in stds.items():
-            if math.isnan(std):
-                raise self.error(f"unknown noise level of {name!r}. Set std = {{ {name} = ... }} or noise.variance.")
-        return self.model_copy(update={"std": stds})
+        known = {*outputs, *map(response_of, outputs)}
+        for key, given in (("std", self.std), ("reading_std", self.reading_std)):
+            for name in given if isinstance(given, dict) else ():
+                if name not in known:
+                    raise self.error(f"unknown output {name!r}{nearest(name, outputs)}", key)
+        alone = Noise(std=self.std, reading_std=self.reading_std)
+        with self.place.located():
+            forms = {name: (alone if alone.form(name)[0] else noise).form(name) for name in outputs}
+        found: dict[str, dict[str, float]] = {"std": {}, "reading_std": {}}
+        for name, (word, level) in forms.items():
+            if word not in ("variance", "std", "reading_std") or not isinstance(level, float):
+                raise self.error(f"unknown noise level of {name!r}. Set std or reading_std of it.")
+            found["std" if word == "variance" else word][name] = math.sqrt(level) if word == "variance" else level
+        return self.model_copy(update=found)
 
 
 class BatchSettings(StudySection):

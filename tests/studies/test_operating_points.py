@@ -18,6 +18,7 @@ from fmuid.codec import from_json
 from fmuid.identification import Contributions
 from fmuid.reports.topics.study_notes import input_notes
 from fmuid.runs import read_fits
+from fmuid.runs.batch.case import CaseRunner
 from fmuid.studies import InitOptions, draft, match_data_files, write_draft
 from tests.support.paths import FMUS, ROOT
 from tests.support.resting import MACHINE, three_tests
@@ -85,6 +86,34 @@ def test_a_spectrum_gives_the_winding(folder: Path) -> None:
     assert found.result.values == pytest.approx([4.0, 0.1], rel=1e-6)
     fit = pd.read_csv(folder / "out/fit.csv")
     assert list(fit.columns) == ["frequency", *(f"{a}.Z.{b}" for b in ("magnitude", "phase") for a in SIDES)]
+
+
+def test_a_monte_carlo_study_of_a_spectrum_has_relative_noise(folder: Path) -> None:
+    """The mean relative noise variance is that of 60 realizations; both parts of a response fit alike."""
+    drawn = "[batch.monte_carlo]\nrealizations = 60\nreading_std = { Z = 0.01 }\ntrue_values = { R = 4.0, L = 0.1 }\n"
+    run = CaseRunner(study_of(folder, SPECTRUM + drawn))
+    table = pd.DataFrame([run(k).row for k in range(60)])
+    magnitude = pd.read_csv(folder / "spectrum.csv")["|Z| (Ohm)"]
+    relative = table["noise.Z.magnitude"] / np.mean(magnitude**2)
+    assert relative.mean() == pytest.approx(1e-4, rel=4.0 * np.sqrt(2.0 / (60 * 80)))
+    assert (table["fit.Z.magnitude"] == table["fit.Z.phase"]).all()
+    assert table["fit.Z.phase"].mean() == pytest.approx(100.0 * (1.0 - 0.01 * np.sqrt(2.0)), abs=0.1)
+
+
+def test_an_unknown_response_of_a_monte_carlo_study_is_refused(folder: Path) -> None:
+    text = SPECTRUM + "[batch.monte_carlo]\nrealizations = 2\n"
+    with pytest.raises(InputError, match="unknown noise level of 'Z.magnitude'. Set std or reading_std of it"):
+        study_of(folder, text)
+    with pytest.raises(InputError, match="reading_std: unknown output 'Y'"):
+        study_of(folder, text + "reading_std = { Y = 0.01 }\n")
+
+
+@pytest.mark.parametrize(("text", "first"), [(STEADY, ["row", "frequency", "voltage", "slip"]), (SPECTRUM, ["frequency"])])
+def test_a_prediction_has_the_axis_of_its_rows(folder: Path, text: str, first: list[str]) -> None:
+    problem = study_of(folder, text).problem()
+    result = fmuid.identify(problem)
+    table = fmuid.predict(result, problem.experiments[0]).table
+    assert [name for name in table if "." not in name] == first
 
 
 @pytest.mark.parametrize(

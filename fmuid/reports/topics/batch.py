@@ -55,7 +55,7 @@ class BatchMessage(Message):
     LEFT_OUT = plain("{done} of {total} cases converged; the statistics omit {others}.")
     BEST_OF_STARTS = plain("Statistics use the best of all starting points for each of {sets} data sets.")
     FIT = plain(
-        "Fit (NRMSE) of {output}: median {median}, minimum {least} (case {case}).",
+        "Fit of {output}: median {median}, minimum {least} (case {case}).",
         remedy="Inspect the case with the lowest fit.",
     )
     ONE = plain("One estimate has no spread: the stated σ is not checked.", remedy="Add realizations.")

@@ -31,8 +31,8 @@ Band = tuple[Floats | None, float]
 class FitMessage(Message, section="fit"):
     """Agreement of measured and simulated outputs."""
 
-    FIT = plain("Fit (NRMSE): {scores}.", "as in MATLAB; 0 %: no better than the mean")
-    LEAST = plain("Lowest fit (NRMSE): {scores}.")
+    FIT = plain("Fit ({measure}): {scores}.", "NRMSE as in MATLAB; 0 %: no better than the mean")
+    LEAST = plain("Lowest fit ({measure}): {scores}.")
     STRETCH = doubt(
         "{share} of the squared residual{where} lies in {start} to {end} s ({time} of the time).",
         "an event, an outlier, or a state that starts elsewhere",
@@ -51,9 +51,14 @@ def fit_remarks(fits: Sequence[OutputFit]) -> list[Remark]:
         least, j = min(known, key=lambda each: each[0].fit[each[1]])
         named = f"{least.outputs[j]} in {least.experiment}" if len(fits) > 1 else least.outputs[j]
         scores = f"{named} {_score(least.fit[j], least.rmse[j], least.units[j])}"
-        return [FitMessage.LEAST.said(scores=scores)]
+        return [FitMessage.LEAST.said(measure=fit_measure([least]), scores=scores)]
     scores = fit_scores(fits)
-    return [FitMessage.FIT.said(scores=scores)] if scores else []
+    return [FitMessage.FIT.said(measure=fit_measure(fits), scores=scores)] if scores else []
+
+
+def fit_measure(fits: Sequence[OutputFit]) -> str:
+    """Return the names of the measures of fit."""
+    return " or ".join(dict.fromkeys("relative error" if fit.kind == "frequency" else "NRMSE" for fit in fits))
 
 
 def stretch_remarks(found: Sequence[ResidualStretch], experiments: int) -> list[Remark]:

@@ -23,7 +23,7 @@ from fmuid.reports.topics.assumptions import (
     model_error_remarks,
 )
 from fmuid.reports.topics.estimates import correlation_sections, estimates_section, forest_section, precision_remarks
-from fmuid.reports.topics.fit import Band, fit_remarks, fit_sections, stretch_remarks
+from fmuid.reports.topics.fit import Band, fit_measure, fit_remarks, fit_sections, stretch_remarks
 from fmuid.reports.topics.optimization import optima_remarks, optima_section, optimization_sections
 from fmuid.reports.topics.preprocessing import preprocessing_sections
 from fmuid.reports.topics.prior_and_data import prior_sections, reading_remarks
@@ -187,9 +187,9 @@ def _fits(fits: Sequence[OutputFit]) -> str:
     ]
     known = [each for each in scores if math.isfinite(each[0])]
     if len(scores) > MAX_LINES and known:
-        return f"at least {fit_text(min(known)[0])} ({min(known)[1]}; NRMSE)"
+        return f"at least {fit_text(min(known)[0])} ({min(known)[1]}; {fit_measure(fits)})"
     words = [f"{name} {fit_text(score) if math.isfinite(score) else 'constant'}" for score, name in scores]
-    return f"{', '.join(words)} (NRMSE)" if words else ""
+    return f"{', '.join(words)} ({fit_measure(fits)})" if words else ""
 
 
 def _noise(result: Result, units: Units) -> str:

@@ -28,7 +28,7 @@ from fmuid.identification import Assessment, Problem, find_data_defects, find_mo
 from fmuid.runs.batch.case_list import Case, CaseList, noise
 from fmuid.runs.batch.case_problem import problem_of, truth_simulators, truth_values
 from fmuid.runs.findings import at_minimum
-from fmuid.simulation import executor_of, nrmse_fit, root_mean_square
+from fmuid.simulation import executor_of, fit_of, nrmse_fit, root_mean_square
 from fmuid.studies import MonteCarloSection, Study, Value
 
 # Columns that differ from run to run; all others are the same bit for bit.
@@ -156,8 +156,8 @@ class CaseRunner:
         clean = self._truths(case.table, tuple(truth_values(self.study, case.held).items()))
         found = []
         for number, (experiment, outputs) in enumerate(zip(experiments, clean, strict=True)):
-            std = np.array([drawn.std_of(name) for name in experiment.output_names])
-            values = outputs + std * noise(self._seed, case.record, draw, number, outputs.shape)
+            exact = experiment.with_outputs(np.where(np.isfinite(outputs), outputs, np.nan))
+            values = outputs + drawn.levels(exact) * noise(self._seed, case.record, draw, number, outputs.shape)
             there = experiment.counted | ~np.isnan(experiment.output_values)
             found.append(experiment.with_outputs(np.where(there, values, np.nan)))
         return tuple(found)
@@ -205,13 +205,18 @@ def _scores(problem: Problem, result: Result) -> dict[str, float]:
     """Return fit, %, and RMSE of each output over all experiments."""
     assert result.history is not None, "of a search that has just ended"
     pairs: dict[str, list[tuple[Floats, Floats]]] = {name: [] for name in problem.output_names}
+    responses = dict[str, float]()
     for experiment, simulated in zip(problem.experiments, result.fit.simulated, strict=True):
+        if experiment.kind == "frequency":
+            own = fit_of(problem.system, experiment, simulated)
+            for name, fit in zip(own.outputs, own.fit, strict=True):
+                responses[f"fit.{name}"] = min(fit, responses.get(f"fit.{name}", np.inf))
         for j, name in enumerate(experiment.output_names):
             counted = experiment.counted[:, j]
             pairs[name].append((experiment.output_values[counted, j], simulated[counted, j]))
     errors = {name: [np.concatenate(each) for each in zip(*own, strict=True)] for name, own in pairs.items()}
-    found = {f"fit.{name}": nrmse_fit(own) for name, own in pairs.items()}
-    return found | {f"rmse.{name}": root_mean_square(*both) for name, both in errors.items()}
+    found = {f"fit.{name}": nrmse_fit(each) for name, each in pairs.items()}
+    return found | responses | {f"rmse.{name}": root_mean_square(*both) for name, both in errors.items()}
 
 
 def directions_text(directions: Sequence[WeakDirection]) -> str:
