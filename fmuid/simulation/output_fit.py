@@ -12,7 +12,7 @@ import pandas as pd
 
 from fmuid.array_types import Flags, Floats
 from fmuid.codec import Layout
-from fmuid.data import Experiment, response_of
+from fmuid.data import Experiment, FrequencyExperiment, response_of
 from fmuid.models import System
 from fmuid.simulation.predictors import output_unit
 
@@ -44,6 +44,7 @@ class OutputFit:
     axis: Mapping[str, Floats] = field(default_factory=dict)  # first columns of tables, (K,) each; default: the times
     # change of each output (K, n_outputs) by one relative unit of its complex response; None of others
     readings: Floats | None = None
+    conjugate: tuple[str, ...] = ()  # responses whose imaginary part has the reversed sign
     inputs: InputSignals | None = None  # of an experiment in time
 
     json_layout: ClassVar = Layout(
@@ -126,12 +127,13 @@ def fit_of(system: System, experiment: Experiment, simulated: Floats) -> OutputF
     """Return simulated outputs (K, n_outputs) with the measured ones."""
     names = experiment.output_names
     units = tuple(output_unit(system, experiment, name) for name in names)
-    readings = None
-    if experiment.kind == "frequency":
+    readings, conjugate = None, tuple[str, ...]()
+    if isinstance(experiment, FrequencyExperiment):
         readings = np.column_stack([experiment.readings(name) for name in names])
+        conjugate = tuple(name for name, each in experiment.responses.items() if each.conjugate)
     values = experiment.output_values, simulated, experiment.counted
-    about = experiment.kind, experiment.axis, readings
-    return OutputFit(experiment.name, experiment.times, names, units, *values, *about, _inputs_of(system, experiment))
+    about = experiment.kind, experiment.axis, readings, conjugate, _inputs_of(system, experiment)
+    return OutputFit(experiment.name, experiment.times, names, units, *values, *about)
 
 
 def _inputs_of(system: System, experiment: Experiment) -> InputSignals | None:

@@ -14,6 +14,7 @@ from fmuid.identification import Contributions
 from fmuid.reports.chart import LIMITS, Axis, Chart, ChartGrid, Layer, short
 from fmuid.reports.document import PAGE, Section, table_of_rows
 from fmuid.simulation import OutputFit
+from fmuid.units import parse_unit
 
 CAPTIONS = {
     "frequency": "Dots: measured. Line: simulated. Band: where a new measurement is expected. Below: relative error.",
@@ -54,9 +55,13 @@ def _bode(fit: OutputFit, half: Floats | None) -> ChartGrid:
             Layer("points", {"x": x, "y": short(measured)}, "grey", alpha=0.6, size=5, label="measured"),
             Layer("line", {"x": x, "y": short(simulated)}, label="simulated", hover=(("value", "@y{0.00000}"),)),
         ]
-        error = 100.0 * (measured - simulated) / fit.readings[order, j]
-        parts = Layer("points", {"x": x, "y": short(error)}, "red", size=4), Layer("rule", {"y": 0.0}, "ink")
-        above = Axis(label(name, fit.units[j]), "log" if log else "linear")
+        percent = 100.0 / fit.readings[order, j]
+        error = Layer("points", {"x": x, "y": short(percent * (measured - simulated))}, "red", size=4)
+        parts = error, Layer("rule", {"y": 0.0}, "ink")
+        if half is not None:
+            parts = _band(x, np.zeros(x.size), percent * half[order, j], False), *parts
+        minus = "−" if response_of(name) in fit.conjugate and name.endswith((".imaginary", ".phase")) else ""
+        above = Axis(label(f"{minus}{name}", fit.units[j]), "log" if log else "linear")
         rows += [(Chart(across, above, tuple(layers), 200),), (Chart(across, Axis("error (%)", ticks=3), parts, 110),)]
     return ChartGrid((*rows, *((each,) for each in _nyquist(fit, order))))
 
@@ -74,20 +79,31 @@ def _nyquist(fit: OutputFit, order: Indices) -> Iterator[Chart]:
             continue
         unit = next(unit for each, unit in zip(fit.outputs, fit.units, strict=True) if response_of(each) == name)
         unit = None if unit == "dB" else unit
-        points = {"x": short(measured.real[order]), "y": short(measured.imag[order])}
-        line = {"x": short(simulated.real[order]), "y": short(simulated.imag[order])}
+        capacitive = name in fit.conjugate or (_is_impedance(unit) and np.nansum(measured.imag) < 0.0)
+        sign, minus = (-1.0, "−") if capacitive else (1.0, "")  # as of batteries: arcs point upwards
+        points, line = (
+            {"x": short(each.real[order]), "y": short(sign * each.imag[order])} for each in (measured, simulated)
+        )
         layers = (
             Layer("points", points, "grey", alpha=0.6, size=5, label="measured"),
             Layer("line", line, label="simulated"),
         )
-        yield Chart(Axis(label(f"Re {name}", unit)), Axis(label(f"Im {name}", unit)), layers, 300)
+        yield Chart(Axis(label(f"Re {name}", unit)), Axis(label(f"{minus}Im {name}", unit)), layers, 300)
+
+
+def _is_impedance(unit: str | None) -> bool:
+    """Return whether spectra of this unit are drawn with −Im upwards if they are capacitive."""
+    own, ohm = None if unit is None else parse_unit(unit), parse_unit("Ohm")
+    return own is not None and ohm is not None and own.exponents == ohm.exponents
 
 
 def _complex(fit: OutputFit, name: str, table: Floats) -> np.ndarray | None:
     """Return a response (K,) by its parts; None of one part alone."""
     own = {part: f"{name}.{part}" for part in RESPONSE_PARTS if f"{name}.{part}" in fit.outputs}
     parts = {part: table[:, fit.outputs.index(output)] for part, output in own.items()}
-    return complex_values(parts) if len(parts) == 2 else None
+    if len(parts) < 2:
+        return None
+    return np.conj(complex_values(parts)) if name in fit.conjugate else complex_values(parts)
 
 
 def _load_curves(fit: OutputFit, half: Floats | None) -> ChartGrid:
