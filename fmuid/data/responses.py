@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.array_types import Floats
-from fmuid.data.data_file import numeric_column
+from fmuid.data.clock import column_of
+from fmuid.data.data_file import SOURCE, UNITS, numeric_column
 from fmuid.data.experiment import Experiment
 from fmuid.data.operating_points import ROW, check_rows, describe_rows, with_rows
 from fmuid.errors import InputError
+from fmuid.units import parse_unit, unit_in_name
 
 RESPONSE_PARTS = ("real", "imaginary", "magnitude", "decibel", "phase")
 DEGREE, DECIBEL = math.pi / 180.0, math.log(10.0) / 20.0
@@ -27,7 +29,7 @@ class Response:
     """Complex frequency response: a ratio of two signals, and the columns that hold it."""
 
     of: str
-    """ratio of two signals of the FMU, such as "u / i" """
+    """ratio of two signals of the FMU, such as "u / i", or "-u / i" for the reversed sign"""
     excited: str | None = None
     """input that is varied; default: the input in the ratio"""
     real: str | None = None
@@ -46,7 +48,7 @@ class Response:
     """the sign of imaginary part or phase is reversed, as in spectra of batteries: −Im"""
 
     def __post_init__(self) -> None:
-        parts = [part.strip() for part in self.of.split("/")]
+        parts = [part.strip() for part in self.of.strip().removeprefix("-").split("/")]
         if not 1 <= len(parts) <= 2 or not all(parts):
             raise InputError(f'of = {self.of!r} is no ratio. Write it as "u / i".')
         if not self.columns:
@@ -60,8 +62,18 @@ class Response:
     @property
     def signals(self) -> tuple[str, str]:
         """Numerator and denominator, "" for none."""
-        above, _, below = self.of.partition("/")
+        above, _, below = self.of.strip().removeprefix("-").partition("/")
         return above.strip(), below.strip()
+
+    @property
+    def sign(self) -> float:
+        """−1 if the ratio begins with a minus, else 1."""
+        return -1.0 if self.of.strip().startswith("-") else 1.0
+
+    @property
+    def reversed_ratio(self) -> str:
+        """The ratio with the reversed sign."""
+        return self.of.strip().removeprefix("-") if self.sign < 0.0 else f"-{self.of.strip()}"
 
     @property
     def columns(self) -> dict[str, str]:
@@ -111,6 +123,7 @@ class FrequencyExperiment(Experiment):
         check_rows(self, {"frequency": self.frequency}, ("frequency",))
         self._set(frame=with_rows(self.frame), inputs={"frequency": self.frequency}, time=ROW, interpolation="zoh")
         self._set(outputs=response_columns(self.responses))
+        self._convert_phases()
         super().__post_init__()
         for name, values in zip(self.output_names, self.output_values.T, strict=True):
             if self.part(name)[2] == "magnitude" and (below := values < 0.0).any():
@@ -121,6 +134,23 @@ class FrequencyExperiment(Experiment):
             if (half := np.logical_xor(*np.isnan(parts))).any():
                 named = " and ".join(map(repr, each.columns.values()))
                 raise InputError(f"{self.source}: one of {named} is empty in row {half.argmax() + 1}. Empty both.")
+
+    def _convert_phases(self) -> None:
+        """Convert phases to degrees."""
+        units, there = dict(self.units), self.frame.attrs.get(UNITS, {})
+        source = self.source or str(self.frame.attrs.get(SOURCE, "the table"))
+        for name, each in self.responses.items():
+            column = column_of(self.frame.columns, each.phase or "")
+            unit = units.get(f"{name}.phase") or there.get(column) or unit_in_name(column or "", own="deg")
+            if column is None or unit is None:
+                continue
+            own, degree = parse_unit(unit), parse_unit("deg")
+            if own is None or degree is None or own.exponents != degree.exponents:
+                raise InputError(f"{source}: phase {column!r} is in {unit!r}. Give it in deg or rad.")
+            values = numeric_column(self.frame, column, source) * (own.factor / degree.factor)
+            self._set(frame=self.frame.assign(**{column: values}))
+            units[f"{name}.phase"] = "deg"
+        self._set(units=units)
 
     @property
     def made_columns(self) -> frozenset[str]:

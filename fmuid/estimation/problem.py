@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, Self
 
@@ -177,6 +177,10 @@ class LeastSquares:
     def doubtful_rows(self, result: Any) -> dict[str, tuple[int, str]]:  # noqa: ARG002 - systems have
         """Return the first doubtful row (from 0) of experiments, with reason."""
         return {}
+
+    def other_conventions(self, result: Any) -> Iterable[tuple[str, str, str, float]]:  # noqa: ARG002 - as above
+        """Return responses that fit otherwise: convention, response, experiment and fit, %."""
+        return ()
 
     def measuring(self, experiments: Sequence[Experiment], parameters: Mapping[str, Parameter] | None = None) -> Self:
         """Return this problem with other measured values, and other initial guesses."""

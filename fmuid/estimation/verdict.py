@@ -22,6 +22,7 @@ class Reason(Enum):
     """Reason against `Grade.PASSED`, the gravest first."""
 
     INTERRUPTED = "interrupted"
+    CONVENTION = "convention"  # a response fits with another sign or unit
     NOT_CONVERGED = "not_converged"
     NON_IDENTIFIABLE = "non_identifiable"
     BETTER_OPTIMUM = "better_optimum"  # on a profile or a cost map
@@ -58,7 +59,15 @@ class Reason(Enum):
         return Grade.NOT_USABLE if self in _FATAL else Grade.DOUBTFUL
 
 
-_FATAL = frozenset({Reason.INTERRUPTED, Reason.NOT_CONVERGED, Reason.NON_IDENTIFIABLE, Reason.BETTER_OPTIMUM})
+_FATAL = frozenset(
+    {
+        Reason.INTERRUPTED,
+        Reason.CONVENTION,
+        Reason.NOT_CONVERGED,
+        Reason.NON_IDENTIFIABLE,
+        Reason.BETTER_OPTIMUM,
+    }
+)
 
 
 @dataclass(frozen=True)

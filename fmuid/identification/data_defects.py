@@ -46,12 +46,20 @@ class DefectKind(Enum):
     TWICE = "twice"  # such rows that stand twice, to the last digit
     SEVERAL = "several"  # stable steady states of a row at the estimates
     EVENT = "event"  # at the steady state of a row
+    CONJUGATE = "conjugate"  # the imaginary part of a response has the reversed sign
+    SIGN = "sign"  # a response has the reversed sign
+    RADIANS = "radians"  # phases of a response are in radians
     UNEVEN = "uneven"  # the noise variance follows the signal, its slope or the time: σ allows for it
 
     @property
     def is_doubt(self) -> bool:
         """True if estimates or intervals may be wrong."""
         return self not in (DefectKind.UNEVEN, DefectKind.EXCLUDED, DefectKind.HUM)
+
+    @property
+    def explains_misfit(self) -> bool:
+        """True if the data fit once this is corrected."""
+        return self in (DefectKind.CONJUGATE, DefectKind.SIGN, DefectKind.RADIANS)
 
 
 @dataclass(frozen=True)
@@ -64,7 +72,7 @@ class DataDefect:
     output, experiment : str
     values : mapping of str to float
         ``ratio`` of step to residual std; ``limit`` and ``samples``; ``share``; worst ``row``, its ``size`` in σ and
-        number of ``rows``; ``factor`` of std, 95 to 5 %; ``frequency``, Hz.
+        number of ``rows``; ``factor`` of std, 95 to 5 %; ``frequency``, Hz; ``fit``, %, after the remedy.
     """
 
     kind: DefectKind
@@ -101,6 +109,8 @@ def _of_rows(problem: LeastSquares, result: Result) -> Iterator[DataDefect]:
         yield DataDefect(DefectKind.TWICE, "", name, {"share": share})
     for name, (row, issue) in problem.doubtful_rows(result).items():
         yield DataDefect(DefectKind(issue), "", name, {"row": row + 1.0})
+    for kind, output, name, fit in problem.other_conventions(result):
+        yield DataDefect(DefectKind(kind), output, name, {"fit": fit})
 
 
 def _defects(model: NoiseModel, measured: Floats, simulated: Floats, levels: Floats | None) -> Iterator[DataDefect]:

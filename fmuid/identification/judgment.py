@@ -65,7 +65,8 @@ def judge(
         doubts += _of_uncertainty(assessment)
         for each in assessment.data_defects:
             subject = (each.kind.value, each.output, each.experiment)
-            told = Doubt(Reason.DATA_DEFECT, subject, each.values)
+            reason = Reason.CONVENTION if each.kind.explains_misfit else Reason.DATA_DEFECT
+            told = Doubt(reason, subject, each.values)
             doubts += [told] if each.kind.is_doubt else []
             freed += [told] if each.kind is DefectKind.EXCLUDED else []
         for own in () if assessment.contributions is None else assessment.contributions.contradictions:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -237,6 +237,18 @@ class Problem(LeastSquares):
         points = (each for each in own.simulators if isinstance(each, PointSimulator))
         found = {each.experiment.name: each.issue_at(result.values) for each in points}
         return {name: issue for name, issue in found.items() if issue is not None}
+
+    def other_conventions(self, result: Result) -> Iterable[tuple[str, str, str, float]]:
+        """Return the responses that fit with another convention."""
+        from fmuid.identification.response_conventions import find_conventions
+
+        own = self.as_in(result)
+
+        def changed(experiments: Sequence[Experiment]) -> LeastSquares:
+            simulators = [each.over(one) for each, one in zip(own.simulators, experiments, strict=True)]
+            return own.simulated_by(simulators).measuring(experiments)
+
+        return find_conventions(self.system, own.experiments, result, changed)
 
     @property
     def made_with(self) -> ModelReference:

@@ -7,7 +7,7 @@ Alternatives that explain the residual as well are averaged by their likelihoods
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -124,6 +124,11 @@ class CorrectedProblem(LeastSquares):
         """Return the doubtful rows of the model itself."""
         base: LeastSquares = vars(self)["base"]
         return base.doubtful_rows(without_sizes(result, len(base.parameters)))
+
+    def other_conventions(self, result: Result) -> Iterable[tuple[str, str, str, float]]:
+        """Return the responses that the model itself fits with another convention."""
+        base: LeastSquares = vars(self)["base"]
+        return base.other_conventions(without_sizes(result, len(base.parameters)))
 
 
 def without_sizes(result: Result, count: int) -> Result:

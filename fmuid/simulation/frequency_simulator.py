@@ -104,7 +104,7 @@ class FrequencySimulator(PointSimulator):
         for name, response in self.experiment.responses.items():
             column = self.seeds.index(self._excitations[name])
             above, below = (self._signal(each, transfer[..., column]) for each in response.signals)
-            values = above / below * np.exp(-1j * self.angular * response.delay)
+            values = response.sign * above / below * np.exp(-1j * self.angular * response.delay)
             values = np.conj(values) if response.conjugate else values
             for part in response.columns:
                 output = self.output_names.index(f"{name}.{part}")

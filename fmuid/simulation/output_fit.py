@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
@@ -127,13 +127,14 @@ def fit_of(system: System, experiment: Experiment, simulated: Floats) -> OutputF
     """Return simulated outputs (K, n_outputs) with the measured ones."""
     names = experiment.output_names
     units = tuple(output_unit(system, experiment, name) for name in names)
-    readings, conjugate = None, tuple[str, ...]()
+    readings: Floats | None = None
+    conjugate: tuple[str, ...] = ()
     if isinstance(experiment, FrequencyExperiment):
         readings = np.column_stack([experiment.readings(name) for name in names])
         conjugate = tuple(name for name, each in experiment.responses.items() if each.conjugate)
     values = experiment.output_values, simulated, experiment.counted
-    about = experiment.kind, experiment.axis, readings, conjugate, _inputs_of(system, experiment)
-    return OutputFit(experiment.name, experiment.times, names, units, *values, *about)
+    made = OutputFit(experiment.name, experiment.times, names, units, *values, experiment.kind, experiment.axis)
+    return replace(made, readings=readings, conjugate=conjugate, inputs=_inputs_of(system, experiment))
 
 
 def _inputs_of(system: System, experiment: Experiment) -> InputSignals | None:

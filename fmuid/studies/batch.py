@@ -133,7 +133,7 @@ class MonteCarloSection(StudySection):
     true_values: kinds.Finites = entry({}, "true values that differ from those of the case")
 
     def levels(self, experiment: Experiment) -> Floats:
-        """Return σ (K, n_outputs) of an experiment with simulated outputs, in the units of the data."""
+        """Return σ (K, n_outputs) of simulated outputs, in units of the data."""
         std, fractions = self.std, self.reading_std
         assert isinstance(std, dict) and isinstance(fractions, dict), "of a study, by `of`"
         found = np.ones(experiment.output_values.shape)
@@ -142,7 +142,7 @@ class MonteCarloSection(StudySection):
         return found
 
     def of(self, experiments: Sequence[ExperimentSettings], noise: Noise) -> Self:
-        """Return the section with σ of every output, or its fraction of each reading."""
+        """Return the section with the noise level of every output."""
         outputs = tuple(dict.fromkeys(name for given in experiments for name in given.output_names))
         known = {*outputs, *map(response_of, outputs)}
         for key, given in (("std", self.std), ("reading_std", self.reading_std)):

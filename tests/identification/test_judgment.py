@@ -97,7 +97,7 @@ def test_each_reason_comes_from_its_check(name: str) -> None:
 
 
 def test_the_gravest_reason_decides() -> None:
-    assert [each.grade for each in Reason].count(Grade.NOT_USABLE) == 4
+    assert [each.grade for each in Reason].count(Grade.NOT_USABLE) == 5
     assert Verdict().grade is Grade.PASSED
     doubts = [Doubt(Reason.OFFSET), Doubt(Reason.AT_BOUND), Doubt(Reason.OFFSET)]
     assert Verdict.of(doubts).grade is Grade.DOUBTFUL

@@ -109,7 +109,8 @@ def test_a_transient_tests_and_a_nameplate_narrow_every_interval(factor: float, 
     found = find_contributions(problem, result)
     assert found is not None
     if not contradicts:
-        pairs = [([transient, table_of(1)], None), ([transient], prior), ([table_of(1)], prior)]
+        both: list[fmuid.Experiment] = [transient, table_of(1)]
+        pairs = [(both, None), (both[:1], prior), (both[1:], prior)]
         brought = {each.experiment: each.widening for each in found.parts}
         for name, pair in zip(("prior", "tests", "transient"), pairs, strict=True):
             without = fitted(*pair)[1].std

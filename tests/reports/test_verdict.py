@@ -13,7 +13,7 @@ from fmuid.runs import identified
 from tests.support.coil_study import STUDY, coil_table
 
 DEFECTS = {"frequency": 50.0, "ratio": 2.4, "limit": 5.0, "samples": 9.0, "share": 0.31, "factor": 2.2}
-DEFECTS |= {"row": 7.0, "rows": 2.0, "size": 12.0}
+DEFECTS |= {"row": 7.0, "rows": 2.0, "size": 12.0, "fit": 99.6}
 BOUNDED = (AccuracyOutcome.FAILED.value, AccuracyOutcome.COUPLED.value)
 VALUES = {"fit": 12.4, "ratio": 5.42, "shift": 0.81, "probability": 3e-4, "widening": 1.9}
 
@@ -24,7 +24,7 @@ def test_reasons_and_messages_are_the_same_in_one_order() -> None:
 
 ERROR = {"size": 0.021, "std": 0.004, "shift": 3.2}
 OPEN = [each.value for each in AccuracyOutcome if each.name not in ("PASSED", "SHIFTED")]
-NAMED = (Reason.MODEL_ERROR, Reason.DATA_DEFECT, Reason.SOLVER_UNCHECKED)  # by their kinds
+NAMED = (Reason.MODEL_ERROR, Reason.DATA_DEFECT, Reason.CONVENTION, Reason.SOLVER_UNCHECKED)  # by their kinds
 DOUBTS = [Doubt(Reason.MODEL_ERROR, (kind.value, "R", "V", "u", "i"), ERROR) for kind in ErrorKind]
 DOUBTS += [Doubt(Reason.DATA_DEFECT, (kind.value, "i", "run"), DEFECTS) for kind in DefectKind]
 DOUBTS += [Doubt(Reason.SOLVER_UNCHECKED, (each,), values) for each in OPEN for values in ({}, {"bound": 13.0})]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -87,6 +88,8 @@ PARTS = {
     "turns": np.degrees(np.angle(IMPEDANCE)) + np.array([360.0, -720.0, 0.0]),
     "late": np.degrees(np.angle(IMPEDANCE)) - np.degrees(1e-3 * S.imag),
     "admittance": np.abs(1.0 / IMPEDANCE),
+    "rad": np.angle(IMPEDANCE),
+    "negative": -IMPEDANCE.real,
     "f": S.imag / (2.0 * np.pi),
     "w": S.imag,
 }
@@ -102,6 +105,8 @@ PARTS = {
         Response("u / i", phase="late", delay=1e-3),
         Response("i / u", magnitude="admittance"),
         Response("i", "u", magnitude="admittance"),
+        Response("-u / i", real="negative"),
+        Response(" - u/i ", real="negative"),
     ],
 )
 @pytest.mark.parametrize(("frequency", "unit"), [("f", "Hz"), ("w", "rad/s")])
@@ -135,9 +140,25 @@ def test_nonlinear_models_are_linearized_at_the_operating_point(made: Callable[[
     np.testing.assert_allclose(found, given.output_values, rtol=1e-6)
 
 
+@pytest.mark.parametrize("by", ["units", "header", "name"])
+def test_phases_in_radians_are_degrees(by: str) -> None:
+    column = "phi_rad" if by == "name" else "rad"
+    table = pd.DataFrame(PARTS).rename(columns={"rad": column})
+    table.attrs["units"] = {"rad": "rad"} if by == "header" else {}
+    units = {"Z.phase": "rad"} if by == "units" else {}
+    response = {"Z": Response("u / i", magnitude="mag", phase=column)}
+    given = FrequencyExperiment(table, frequency="f", responses=response, units=units)
+    again = dataclasses.replace(given, outputs=(), name="again")
+    for each in (given, again):
+        np.testing.assert_allclose(each.output_values[:, 1], PARTS["deg"], rtol=1e-12)
+    found = simulator_of(System.of(COIL), given, ["R", "L"])([4.0, 0.1])
+    np.testing.assert_allclose(found, given.output_values, rtol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("response", "more", "message"),
     [
+        (Response("u / i", phase="rad"), {"units": {"Z.phase": "V"}}, "phase 'rad' is in 'V'. Give it in deg or rad"),
         (Response("y / i", real="re"), {}, "no signal 'y'"),
         (Response("i", real="re"), {}, "no input in 'i'. Set excited"),
         (Response("i / i", "i", real="re"), {}, "'i' is no input"),

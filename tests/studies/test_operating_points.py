@@ -102,18 +102,20 @@ def test_a_monte_carlo_study_of_a_spectrum_has_relative_noise(folder: Path) -> N
 
 def test_an_unknown_response_of_a_monte_carlo_study_is_refused(folder: Path) -> None:
     text = SPECTRUM + "[batch.monte_carlo]\nrealizations = 2\n"
-    with pytest.raises(InputError, match="unknown noise level of 'Z.magnitude'. Set std or reading_std of it"):
+    with pytest.raises(InputError, match=r"unknown noise level of 'Z.magnitude'. Set std or reading_std of it"):
         study_of(folder, text)
     with pytest.raises(InputError, match="reading_std: unknown output 'Y'"):
         study_of(folder, text + "reading_std = { Y = 0.01 }\n")
 
 
-@pytest.mark.parametrize(("text", "first"), [(STEADY, ["row", "frequency", "voltage", "slip"]), (SPECTRUM, ["frequency"])])
+@pytest.mark.parametrize(
+    ("text", "first"), [(STEADY, ["row", "frequency", "voltage", "slip"]), (SPECTRUM, ["frequency"])]
+)
 def test_a_prediction_has_the_axis_of_its_rows(folder: Path, text: str, first: list[str]) -> None:
     problem = study_of(folder, text).problem()
     result = fmuid.identify(problem)
     table = fmuid.predict(result, problem.experiments[0]).table
-    assert [name for name in table if "." not in name] == first
+    assert [name for name in table.columns.tolist() if "." not in name] == first
 
 
 @pytest.mark.parametrize(
@@ -143,6 +145,7 @@ def test_a_drafted_study_identifies_as_it_is(
         ("steady", "Drehzahl,Spannung,Drehmoment,f", {"speed": "Drehzahl", "frequency": "f", "torque": "Drehmoment"}),
         ("frequency", "freq,Zd_re,Zd_im", {"frequency": "freq", "Zd.real": "Zd_re", "Zd.imaginary": "Zd_im"}),
         ("frequency", "w (rad/s),gain (dB),arg (deg)", {"gain.decibel": "gain (dB)", "gain.phase": "arg"}),
+        ("frequency", "omega,Re,Im", {"frequency": "omega", "Z.real": "Re"}),
         ("frequency", "f,Re,Im", {"Z.real": "Re", "Z.imaginary": "Im"}),
         ("frequency", "freq/Hz,Re(Z)/Ohm,-Im(Z)/Ohm,|Z|/Ohm", {"Z.real": "Re(Z)", "Z.imaginary": "-Im(Z)"}),
         ("frequency", "Freq,Zreal,Zimag,Zmod,Zphz", {"Z.real": "Zreal", "Z.imaginary": "Zimag"}),
@@ -158,6 +161,7 @@ def test_columns_without_a_time_are_matched(folder: Path, kind: str, head: str, 
     found = {link.variable: link.column for link in record.links}
     assert expected.items() <= found.items()
     assert record.settings.kind == kind
+    assert record.units == ({"frequency": "rad/s"} if head.startswith("omega") else {})
     if "speed" in expected:
         assert record.settings.frame is not None and record.settings.frame.pole_pairs == (
             60 if "frequency" in found else 2

@@ -97,6 +97,21 @@ class DefectMessage(Message, section="residuals"):
     EVENT = doubt(
         "row {row:.0f} of {experiment} is at an event at the estimates", "a kink: σ does not hold", "Remove the row."
     )
+    CONJUGATE = doubt(
+        "imaginary part of {output} has the wrong sign (fit {fit:.0f}% with the other)",
+        "some instruments save −Im or −phase",
+        "Change `conjugate` of this response.",
+    )
+    SIGN = doubt(
+        "{output} has the wrong sign (fit {fit:.0f}% with the other)",
+        "a current or voltage that counts against its arrow",
+        'Reverse the ratio: `of = "-u / i"` in place of "u / i".',
+    )
+    RADIANS = doubt(
+        "phases of {output} are in radians (fit {fit:.0f}%)",
+        "they are read as degrees",
+        'Set `units = { "Z.phase" = "rad" }` for response Z.',
+    )
     UNEVEN = plain("noise of {output} is uneven ({factor:.2g} ×)", "it follows the signal or time: σ allows for it")
 
 

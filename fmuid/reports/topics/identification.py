@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from fmuid.estimation import Grade, Result, Verdict
+from fmuid.estimation import Grade, Reason, Result, Verdict
 from fmuid.formatting import fit_text, unit_text
 from fmuid.identification import ModelErrors, judge, quantile
 from fmuid.models import SolverConfiguration
@@ -81,7 +81,7 @@ def identification_document(found: IdentificationRun) -> Document:
 
 def _remedy(found: IdentificationRun, verdict: Verdict) -> str:
     """Return the best change, or the remedy of the gravest reason."""
-    if verdict.grade is Grade.NOT_USABLE:
+    if verdict.grade is Grade.NOT_USABLE and verdict.doubts[0].reason is not Reason.CONVENTION:
         return ""
     return remedy_words(verdict) if found.change is None else change_line(found.change)
 

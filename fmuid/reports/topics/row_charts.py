@@ -57,12 +57,14 @@ def _bode(fit: OutputFit, half: Floats | None) -> ChartGrid:
         ]
         percent = 100.0 / fit.readings[order, j]
         error = Layer("points", {"x": x, "y": short(percent * (measured - simulated))}, "red", size=4)
-        parts = error, Layer("rule", {"y": 0.0}, "ink")
-        if half is not None:
-            parts = _band(x, np.zeros(x.size), percent * half[order, j], False), *parts
+        parts = [] if half is None else [_band(x, np.zeros(x.size), percent * half[order, j], False)]
+        parts += [error, Layer("rule", {"y": 0.0}, "ink")]
         minus = "−" if response_of(name) in fit.conjugate and name.endswith((".imaginary", ".phase")) else ""
         above = Axis(label(f"{minus}{name}", fit.units[j]), "log" if log else "linear")
-        rows += [(Chart(across, above, tuple(layers), 200),), (Chart(across, Axis("error (%)", ticks=3), parts, 110),)]
+        rows += [
+            (Chart(across, above, tuple(layers), 200),),
+            (Chart(across, Axis("error (%)", ticks=3), tuple(parts), 110),),
+        ]
     return ChartGrid((*rows, *((each,) for each in _nyquist(fit, order))))
 
 
@@ -92,7 +94,7 @@ def _nyquist(fit: OutputFit, order: Indices) -> Iterator[Chart]:
 
 
 def _is_impedance(unit: str | None) -> bool:
-    """Return whether spectra of this unit are drawn with −Im upwards if they are capacitive."""
+    """Return whether a unit is that of an impedance."""
     own, ohm = None if unit is None else parse_unit(unit), parse_unit("Ohm")
     return own is not None and ohm is not None and own.exponents == ohm.exponents
 

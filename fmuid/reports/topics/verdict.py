@@ -24,12 +24,13 @@ class VerdictMessage(Message):
     """Reasons of a verdict, the gravest first."""
 
     INTERRUPTED = plain("interrupted", remedy="Continue with `--resume`.")
+    CONVENTION = plain("{defect}", remedy="Follow the message of the defect.")
     NOT_CONVERGED = plain("not converged: {first}", remedy="Follow the message of the termination.")
     NON_IDENTIFIABLE = plain(
         "{subjects} not identifiable", remedy="Fix one of them, add a prior, or use another excitation."
     )
     BETTER_OPTIMUM = plain("a better optimum exists near {subjects}", remedy="Identify again from there.")
-    POOR_FIT = plain("{first} fits only {fit:.0f} % (NRMSE)", remedy="Check the model.")
+    POOR_FIT = plain("{first} fits only {fit:.0f} %", remedy="Check the model.")
     LARGE_RESIDUAL = plain(
         "residual is {ratio:.2g} × noise level", remedy="Check the model, input interpolation and units."
     )
@@ -91,7 +92,7 @@ def remedy_words(verdict: Verdict) -> str:
     first = next(iter((*verdict.doubts, *verdict.freed)), None)
     if first is not None and first.reason is Reason.MODEL_ERROR:
         return error_remedy(first)
-    if first is not None and first.reason is Reason.DATA_DEFECT and (own := defect_remedy(first)):
+    if first is not None and first.reason in _DEFECTS and (own := defect_remedy(first)):
         return own
     told = [each.reason for each in (*verdict.doubts, *verdict.freed)]
     return next((text for each in told if (text := VerdictMessage[each.name].remedy)), "")
@@ -106,7 +107,7 @@ def _phrases(found: Sequence[Doubt]) -> Iterator[str]:
             "subjects": listed(_subjects(reason, doubts)),
             "cause": unchecked_words(first) if reason is Reason.SOLVER_UNCHECKED else "",
             "inputs": listed(list(dict.fromkeys(each.subject[2] for each in doubts if len(each.subject) > 2))),
-            "defect": listed([defect_words(each) for each in doubts]) if reason is Reason.DATA_DEFECT else "",
+            "defect": listed([defect_words(each) for each in doubts]) if reason in _DEFECTS else "",
             "error": listed([error_words(each) for each in doubts]) if reason is Reason.MODEL_ERROR else "",
         }
         yield VerdictMessage[reason.name].text.format_map({**first.values, **words})
@@ -117,4 +118,5 @@ def _subjects(reason: Reason, doubts: list[Doubt]) -> list[str]:
     return list(dict.fromkeys(name for each in names for name in each))
 
 
+_DEFECTS = {Reason.CONVENTION, Reason.DATA_DEFECT}
 _DIRECTIONS = {Reason.NON_IDENTIFIABLE, Reason.WEAKLY_IDENTIFIABLE, Reason.PRIOR_DOMINATED, Reason.BETTER_OPTIMUM}

@@ -118,7 +118,7 @@ class MatchedDataFile:
         found = {
             each.variable: each.column_unit
             for each in self.links
-            if self.in_time and each.column and each.column_unit and each.column_unit != each.unit
+            if self.asked.kind != "steady" and each.column and each.column_unit and each.column_unit != each.unit
             if each.column not in said and not unit_in_name(each.column, each.variable)
         }
         return found | dict(self.asked.units)

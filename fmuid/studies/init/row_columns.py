@@ -55,7 +55,7 @@ UNNAMED = "Z"  # response whose columns have no name of their own
 
 def supply_columns(columns: Iterable[str]) -> Iterator[ColumnMatch]:
     """Yield the columns of a machine's supply and outputs."""
-    plain = {column: re.sub(r"[\W_]", "", column).casefold() for column in columns}
+    plain = {column: _word(column) for column in columns}
     for role, known in (("frame", _SUPPLY), ("output", _FORMULAS)):
         for name, words in known.items():
             found = next((column for column, word in plain.items() if word in words.split()), None)
@@ -67,7 +67,8 @@ def response_columns(columns: Sequence[str], units: Mapping[str, str]) -> Iterat
     """Yield the columns of frequency and responses, each in one form."""
     first = next((each for each in columns if _is_frequency(each, units.get(each))), None)
     if first is not None:
-        yield ColumnMatch("frequency", "frame", first, MatchReason.QUANTITY, "Hz", units.get(first))
+        unit = units.get(first) or ("rad/s" if _is_angular(first) else None)
+        yield ColumnMatch("frequency", "frame", first, MatchReason.QUANTITY, "Hz", unit)
     others = ((column, _part(column.removeprefix("-"), units.get(column))) for column in columns if column != first)
     parts = [(column, *found) for column, found in others if found is not None]
     names = [name for _, name, _ in parts if name] or [UNNAMED]
@@ -94,8 +95,16 @@ def ratio_of(unit: str | None, description: Description) -> str:
 
 
 def _is_frequency(column: str, unit: str | None) -> bool:
-    word = re.sub(r"[\W_]", "", column).casefold()
-    return word in _SUPPLY["frequency"].split() or word in ("w", "omega") or unit in ("Hz", "kHz", "rad/s")
+    known = _word(column) in _SUPPLY["frequency"].split() or _is_angular(column)
+    return known or unit in ("Hz", "kHz", "rad/s")
+
+
+def _is_angular(column: str) -> bool:
+    return _word(column) in ("w", "omega")
+
+
+def _word(column: str) -> str:
+    return re.sub(r"[\W_]", "", column).casefold()
 
 
 def _part(column: str, unit: str | None) -> tuple[str, str] | None:

@@ -1,0 +1,64 @@
+"""Conventions of responses: signs and units that the data show, and nothing where they are right."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import fmuid
+from fmuid.data import FrequencyExperiment, Response
+from fmuid.estimation import Grade, Reason
+from fmuid.identification import DefectKind, find_data_defects, judge
+
+COIL = fmuid.datasets.coil().fmu
+FREE = {"R": fmuid.Parameter(1.0, min=0.01), "L": fmuid.Parameter(1.0, min=1e-4)}
+POLAR, COMPLEX = {"magnitude": "size", "phase": "angle"}, {"real": "re", "imaginary": "im"}
+
+
+def spectrum(response: Response, kind: DefectKind | None = None) -> FrequencyExperiment:
+    """Return a coil's spectrum of 4 Ohm and 0.1 H, saved by another convention."""
+    random, frequencies = np.random.default_rng(2), np.logspace(-1.0, 3.0, 30)
+    noise = 0.003 * (random.normal(size=30) + 1j * random.normal(size=30))
+    values = (4.0 + 0.2j * np.pi * frequencies) * (1.0 + noise) * (-1.0 if kind is DefectKind.SIGN else 1.0)
+    values = np.conj(values) if kind is DefectKind.CONJUGATE else values
+    angle = np.angle(values) if kind is DefectKind.RADIANS else np.degrees(np.angle(values))
+    table = {"f": frequencies, "re": values.real, "im": values.imag, "size": np.abs(values), "angle": angle}
+    return FrequencyExperiment(pd.DataFrame(table), frequency="f", responses={"Z": response}, name="spectrum")
+
+
+@pytest.mark.parametrize(
+    ("kind", "parts"),
+    [
+        (DefectKind.RADIANS, POLAR),
+        (DefectKind.CONJUGATE, POLAR),
+        (DefectKind.CONJUGATE, COMPLEX),
+        (DefectKind.SIGN, POLAR),
+        (DefectKind.SIGN, COMPLEX),
+    ],
+)
+def test_another_convention_is_named(kind: DefectKind, parts: dict[str, str]) -> None:
+    problem = fmuid.Problem(COIL, spectrum(Response("u / i", **parts), kind), FREE)  # type: ignore[arg-type]
+    result = fmuid.identify(problem)
+    found = [each for each in find_data_defects(problem, result) if each.kind.explains_misfit]
+    assert [(each.kind, each.output, each.experiment) for each in found][:1] == [(kind, "Z", "spectrum")]
+    assert found[0].values["fit"] > 99.0
+    verdict = judge(result, fmuid.assess(problem, result))
+    assert (verdict.grade, verdict.reasons[0]) == (Grade.NOT_USABLE, Reason.CONVENTION)
+
+
+@pytest.mark.parametrize("parts", [POLAR, COMPLEX, {"magnitude": "size"}])
+def test_the_right_convention_is_not_doubted(parts: dict[str, str]) -> None:
+    problem = fmuid.Problem(COIL, spectrum(Response("u / i", **parts)), FREE)  # type: ignore[arg-type]
+    found = find_data_defects(problem, fmuid.identify(problem))
+    assert not [each for each in found if each.kind.explains_misfit]
+
+
+def test_a_model_that_fits_by_no_convention_is_not_excused() -> None:
+    """An admittance that is read as an impedance."""
+    experiment = replace(spectrum(Response("i / u", real="re", imaginary="im")), outputs=())
+    problem = fmuid.Problem(COIL, experiment, FREE)
+    result = fmuid.identify(problem)
+    assert not [each for each in find_data_defects(problem, result) if each.kind.explains_misfit]
