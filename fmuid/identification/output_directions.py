@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -106,7 +106,10 @@ def fixed_columns(simulator: AnySimulator, theta: Floats) -> Iterator[Direction]
     if not names:
         return
     values = np.array([fixed[name] for name in names])
-    other = simulator.over(simulator.experiment, (*simulator.parameters, *names))
+    experiment, held = simulator.experiment, simulator.experiment.values
+    if not held.keys().isdisjoint(names):
+        experiment = replace(experiment, values={name: held[name] for name in held if name not in names})
+    other = simulator.over(experiment, (*simulator.parameters, *names))
     base = np.concatenate([theta, values])
     moved = np.tile(base, (len(names), 1))
     moved[np.arange(len(names)), len(theta) + np.arange(len(names))] *= 1.0 + SETTINGS.fixed_step

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -147,6 +148,23 @@ def test_directions_of_a_response_are_its_changes(columns: dict[str, Any]) -> No
     more = (simulator(np.array([3.0 + 1e-4])) - simulator(np.array([3.0 - 1e-4]))) / 2e-4  # R adds to Z
     if "decibel" not in columns:
         np.testing.assert_allclose(found[ErrorKind.OFFSET], more, rtol=1e-6, atol=1e-7)
+
+
+@pytest.mark.parametrize("by", ["time", "frequency"])
+def test_values_that_an_experiment_holds_are_tested_as_those_of_the_model(by: str) -> None:
+    held = {"R": 4.0} if by == "frequency" else {"R": 4.0, "i_start": 0.01}
+    given: fmuid.Experiment = COIL.experiment if by == "time" else spectrum(1)[0]
+    sizes = []
+    for own in (True, False):
+        experiment = dataclasses.replace(given, values=held if own else {})
+        problem = fmuid.Problem(COIL.fmu, experiment, {"L": FREE["L"]}, values={} if own else held)
+        found = find_model_errors(problem, fmuid.identify(problem))
+        assert found is not None
+        fixed = [each for each in found.tests if each.direction.kind is ErrorKind.FIXED]
+        sizes.append({each.direction.subject: (each.size, each.std) for each in fixed})
+    assert sizes[0].keys() == {(name,) for name in held}
+    for subject, expected in sizes[1].items():
+        assert sizes[0][subject] == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.slow

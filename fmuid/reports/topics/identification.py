@@ -81,9 +81,10 @@ def identification_document(found: IdentificationRun) -> Document:
 
 def _remedy(found: IdentificationRun, verdict: Verdict) -> str:
     """Return the best change, or the remedy of the gravest reason."""
-    if verdict.grade is Grade.NOT_USABLE and verdict.doubts[0].reason is not Reason.CONVENTION:
+    explained = bool(verdict.doubts) and verdict.doubts[0].reason is Reason.CONVENTION
+    if verdict.grade is Grade.NOT_USABLE and not explained:
         return ""
-    return remedy_words(verdict) if found.change is None else change_line(found.change)
+    return remedy_words(verdict) if explained or found.change is None else change_line(found.change)
 
 
 def _reason(result: Result, verdict: Verdict) -> str:
