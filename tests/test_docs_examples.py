@@ -72,6 +72,25 @@ def test_the_tutorial_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caps
                 assert " ".join(line.split()) in printed, (command, line, captured)
 
 
+@pytest.mark.parametrize(("page", "table"), [("machine-tests.md", "tests.csv"), ("spectra.md", "spectrum.csv")])
+@pytest.mark.usefixtures("blank_figures")
+def test_a_tutorial_without_a_time_runs(
+    page: str, table: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In an empty folder; lines that are shown are printed, in this order."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+    first, shown = blocks(page, "console")
+    exec(shlex.split(first)[3], {})
+    for name, kind in ((table, "text"), ("study.toml", "toml")):
+        (tmp_path / name).write_text(blocks(page, kind)[0], encoding="utf-8")
+    command, *lines = shown.splitlines()
+    run([*shlex.split(command)[2:], "--no-isolation"])
+    printed = iter(" ".join(line.split()) for line in capsys.readouterr().out.splitlines())
+    for line in (each for each in lines if each != "..."):
+        assert " ".join(line.split()) in printed, line
+
+
 def test_study_keys_are_keys() -> None:
     """Sections that are shown without others may lack keys; the schema has no arrays, as on docs/parameters.md."""
     from jsonschema import Draft202012Validator
