@@ -18,7 +18,7 @@ from fmuid import InputError, Normal, Parameter, Simulator, Study
 from fmuid.apps.workbench.pages.live import LatestOnlyWorker
 from fmuid.apps.workbench.pages.sliders import PLACES, reach_of
 from fmuid.apps.workbench.pages.study import StudyPage
-from tests.support.coil_study import coil_table
+from tests.support.coil_study import COIL, coil_table
 from tests.support.isolated import wait_until
 from tests.support.results import result
 from tests.support.running import run_study
@@ -371,3 +371,22 @@ def test_study_without_parameters_is_refused(path: Path) -> None:
     fixed = ["parameters.R=1.0", "parameters.L=1.0"]
     with pytest.raises(InputError, match="no free parameter"):
         StudyPage(asked_for(path.name, settings=fixed), bench_of(path.parent))
+
+
+@pytest.mark.parametrize("table", ["f,re,im\n1,4.0,0.63\n10,4.0,6.3\n100,4.0,63\n", "u,i\n4,1\n"], ids=["spectrum", "row"])
+def test_rows_without_a_time_follow_the_sliders(tmp_path: Path, table: str) -> None:
+    """Impedance R + 2 pi f L j, and current u/R."""
+    spectral = table.startswith("f")
+    roles = 'responses.Z = { of = "u / i", real = "re", imaginary = "im" }\nfrequency = "f"' if spectral else ""
+    kind = "frequency" if spectral else "steady"
+    roles = roles or 'inputs = ["u"]\noutputs = ["i"]'
+    (tmp_path / "table.csv").write_text(table)
+    text = f'[model]\nfmu = "{COIL}"\n[[experiments]]\nkind = "{kind}"\ndata = "table.csv"\n{roles}\n[parameters]\n'
+    path = coil_study(tmp_path, text + "R = { start = 4.0, min = 1.0, max = 9.0 }\n")
+    page = Page(path)
+    assert page.page.live.grid.charts[0].x.label == "row"
+    page.rows["R"].slider.value = page.rows["R"].slider.end
+    page.settle()
+    value = page.rows["R"].value
+    assert value > 4.5
+    assert page.shown() == pytest.approx(np.full(3, value) if spectral else [4.0 / value], rel=1e-6)

@@ -179,7 +179,8 @@ class LiveFit:
         thin, grey = self.record.times[rows][some], uncounted(self.record)
         across = Axis("time (s)" if self.record.kind == "time" else "row", linked="time", ticks=8)
         size, charts = 3 if len(self.record.times) > DOTS else 5, []
-        hover = (("time", "@x{0.0000} s"), ("simulated", "@y{0.00000}"), ("residual", "@r{0.00000}"))
+        at = ("time", "@x{0.0000} s") if self.record.kind == "time" else ("row", "@x")
+        hover = (at, ("simulated", "@y{0.00000}"), ("residual", "@r{0.00000}"))
         for j in self.outputs:
             line, rest = short(shown[some, j]), short(residual[some, j])
             last = j == self.outputs[-1]
