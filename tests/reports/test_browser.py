@@ -39,8 +39,8 @@ def opened(driver: Any, report: Path) -> None:
     from selenium.webdriver.support.ui import WebDriverWait
 
     driver.get(report.as_uri())
-    idle = "return document.documentElement.dataset.drawn === 'all' && Bokeh.documents.every(d => d.is_idle)"
-    WebDriverWait(driver, PATIENCE).until(lambda it: it.execute_script(idle))
+    drawn = "return document.documentElement.dataset.drawn === 'all'"
+    WebDriverWait(driver, PATIENCE).until(lambda it: it.execute_script(drawn))
 
 
 def requests(driver: Any, report: Path) -> set[str]:

@@ -14,6 +14,8 @@ DRIVER = shutil.which("chromedriver")
 FLAGS = (
     *("headless", "no-sandbox", "disable-gpu", "disable-quic", "no-first-run", "disable-background-networking"),
     *("disable-component-update", "disable-sync", "disable-dev-shm-usage"),
+    # It goes on drawing where it takes its window for a covered one.
+    *("disable-backgrounding-occluded-windows", "disable-renderer-backgrounding"),
     "host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE 127.0.0.1",
 )
 # More than enough, s, on a machine with other work.

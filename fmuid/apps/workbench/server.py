@@ -79,6 +79,9 @@ class Workbench:
             self._loop.start()
         finally:
             self.jobs.close()
+            for session in (each for where in _ADDRESSES for each in served.get_sessions(where)):
+                for end in session.document.session_destroyed_callbacks:
+                    end(None)  # simulations of a page end with it
             served.stop(wait=False)
             self._loop.run_sync(self._http.close_all_connections)
             self._loop.close(all_fds=True)

@@ -63,12 +63,17 @@
     event.target.click();
   }
 
-  // What the server follows is there; then come the figures that are as they are, one section after the other.
+  // What the server follows is there; then come the figures that are as they are.
   async function drawn() {
     for (const doc of Bokeh.documents) doc.on_event("connection_lost", cut);
     for (const view of Bokeh.index.roots ?? Object.values(Bokeh.index)) name(view);
     const still = document.getElementById("figures");
-    if (still === null) return;
+    if (still !== null) await draw(still);
+    document.documentElement.dataset.drawn = "all";
+  }
+
+  // One section after the other.
+  async function draw(still) {
     const { colors } = JSON.parse(still.textContent);
     const twin = (value) => (value?.value in colors ? { ...value, value: colors[value.value] } : colors[value]);
     const colored = (name, value) => (/color$/.test(name) && twin(value)) || value;
@@ -76,6 +81,5 @@
       await Bokeh.embed.embed_items(content, places);
       await new Promise((done) => setTimeout(done)); // what the reader does comes first
     }
-    document.documentElement.dataset.drawn = "all";
   }
 })();

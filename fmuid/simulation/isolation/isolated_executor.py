@@ -262,9 +262,13 @@ class IsolatedExecutor:
         _log.warning("%s: its reset crashes; each simulation uses a new instance, which is slow", self._labels)
 
     def printed(self) -> str:
-        """Return and forget the FMUs' printed text."""
-        with self.lock:
+        """Return and forget the FMUs' printed text; while they run, nothing."""
+        if not self.lock.acquire(blocking=False):
+            return ""  # kept for a later call
+        try:
             return self._keeper.printed()
+        finally:
+            self.lock.release()
 
     def close(self) -> None:
         """End the process; a later simulation makes a new one."""

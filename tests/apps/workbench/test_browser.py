@@ -23,7 +23,7 @@ from tests.support.workbench import coil_study, described, running
 pytestmark = pytest.mark.browser
 
 MODEL = "Bokeh.documents[0].get_model_by_name"
-DRAWN = "typeof Bokeh !== 'undefined' && Bokeh.documents.length > 0 && Bokeh.documents.every(d => d.is_idle)"
+DRAWN = "document.documentElement.dataset.drawn === 'all'"
 # The element inside all shadows that a selector finds in the view of a widget.
 FIND = """
 function find(root, name, selector) {
@@ -75,26 +75,21 @@ def address(folder: Path) -> Iterator[str]:
         yield bench.address
 
 
-def wait(driver: Any, script: str, patience: float = PATIENCE) -> None:
+def wait(driver: Any, script: str) -> None:
+    from selenium.common.exceptions import TimeoutException
     from selenium.webdriver.support.ui import WebDriverWait
 
-    WebDriverWait(driver, patience).until(lambda it: it.execute_script(f"return {script}"))
+    try:
+        WebDriverWait(driver, PATIENCE).until(lambda it: it.execute_script(f"return {script}"))
+    except TimeoutException:
+        shown = driver.execute_script("return document.body.innerText")
+        raise AssertionError(f"{script}: {driver.current_url}\n{shown}\n{driver.get_log('browser')}") from None
 
 
 def open_study(driver: Any, address: str, name: str = "study.toml") -> None:
     driver.get(address)
     driver.get(f"{address.split('?')[0]}study?file={name}")
-    wait_until_drawn(driver)
-
-
-def wait_until_drawn(driver: Any) -> None:
-    from selenium.common.exceptions import TimeoutException
-
-    try:
-        wait(driver, DRAWN, 30.0)
-    except TimeoutException:  # once in some runs on a loaded machine: loaded anew, as its user would
-        driver.refresh()
-        wait(driver, DRAWN)
+    wait(driver, DRAWN)
 
 
 def residual(driver: Any) -> float:
@@ -263,8 +258,7 @@ def test_the_keyboard_reaches_all_of_each_page(browser: Any, address: str, folde
     base = address.split("?")[0]
     for page, wanted in REACHED.items():
         browser.get(base + page)
-        wait_until_drawn(browser) if page else wait(browser, "document.readyState === 'complete'")
-        wait(browser, "!document.getElementById('figures') || document.documentElement.dataset.drawn === 'all'")
+        wait(browser, DRAWN if page else "document.readyState === 'complete'")
         names = []
         for name, element in tabbed(browser):
             names.append(name)
@@ -322,6 +316,6 @@ def test_pages_are_as_wide_as_their_window(browser: Any, address: str, width: in
     of_labels = "[...Bokeh.documents[0].all_models].map(model => model.axis_label_text_color).filter(color => color)"
     assert browser.execute_script(f"return [...new Set({of_labels})]") == ["#e6edf3"]
     browser.get(f"{address.split('?')[0]}new")
-    wait_until_drawn(browser)
+    wait(browser, DRAWN)
     browser.execute_script(f"{MODEL}('chosen').value = ['first.csv']")
     assert browser.execute_script("return document.documentElement.scrollWidth") <= width

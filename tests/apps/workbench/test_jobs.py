@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from fmuid import simulation
 from fmuid.apps.workbench import Folder, Workbench, jobs, server
 from fmuid.apps.workbench.pages.study import StudyPage
 from fmuid.processes import AVAILABLE, SERVER
@@ -117,12 +118,7 @@ def test_closed_tab_is_served_no_more(bench: Workbench, caplog: pytest.LogCaptur
 @pytest.mark.parametrize("mode", first(1, [Mode.SLOW, Mode.SOUND]))
 @pytest.mark.parametrize("isolated", [False, pytest.param(True, marks=NEEDS_PROCESSES)])
 def test_closed_tab_leaves_no_process(tmp_path: Path, isolated: bool, mode: Mode) -> None:
-    coil_table(tmp_path / "first.csv", 0.0, seed=1)
-    (tmp_path / "study.toml").write_text(
-        f'[model]\nfmu = "{misbehaving_fmu(tmp_path).as_posix()}"\nfixed = {{ mode = {int(mode)}, amount = 300 }}\n'
-        '[[experiments]]\ndata = "first.csv"\ninputs = ["u"]\noutputs = { x = "i" }\n'
-        "[parameters]\ngain = { start = 1.0 }\n"
-    )
+    _study(tmp_path, mode, 300)
     if isolated:
         SERVER.start()
     before, doc = len(processes()), asked_for("study.toml")
@@ -135,3 +131,25 @@ def test_closed_tab_leaves_no_process(tmp_path: Path, isolated: bool, mode: Mode
     page._newest._thread.join(PATIENCE)
     assert not page._newest._thread.is_alive()
     assert len(processes()) <= before
+
+
+@NEEDS_PROCESSES
+def test_a_stopped_workbench_ends_what_its_pages_simulate(tmp_path: Path) -> None:
+    _study(tmp_path, Mode.SLOW, 20000)
+    SERVER.start()
+    before = len(processes())
+    with running(Workbench(Folder(tmp_path))) as bench:
+        Tab(bench.address, "/study?file=study.toml")
+        wait_until(lambda: len(processes()) > before, PATIENCE)
+        assert simulation.printed() == ""  # it waits for no simulation
+        assert len(processes()) > before
+    wait_until(lambda: len(processes()) <= before, PATIENCE)
+
+
+def _study(folder: Path, mode: Mode, amount: int) -> None:
+    coil_table(folder / "first.csv", 0.0, seed=1)
+    (folder / "study.toml").write_text(
+        f'[model]\nfmu = "{misbehaving_fmu(folder).as_posix()}"\nfixed = {{ mode = {int(mode)}, amount = {amount} }}\n'
+        '[[experiments]]\ndata = "first.csv"\ninputs = ["u"]\noutputs = { x = "i" }\n'
+        "[parameters]\ngain = { start = 1.0 }\n"
+    )
