@@ -23,8 +23,8 @@ import fmuid
 from experiments import pages
 from fmuid.array_types import Floats
 from fmuid.diagnosis import Alarm, OnsetShape
-from fmuid.diagnosis.baseline_comparator import whitening_of
-from fmuid.diagnosis.baseline_statistics import BaselineStatistics, shown_by
+from fmuid.diagnosis.baseline_comparator import learn_baseline
+from fmuid.diagnosis.baseline_statistics import BaselineStatistics
 from fmuid.diagnosis.cause_analysis import Examination, examine
 from fmuid.diagnosis.cause_ranking import CauseSet
 from fmuid.diagnosis.causes import CauseKind, ChangeParameterSet
@@ -150,9 +150,7 @@ class Campaign:
             self._of(case, at).over(noisy(clean, rng, setting.noise, colour, share))
             for at, clean in enumerate(setting.records(case, rng))
         )
-        whitening = whitening_of([healthy], [setting.coordinates.healthy], setting.coordinates.normal)
-        shown = shown_by([healthy], whitening, setting.coordinates)
-        known = BaselineStatistics.of(shown, setting.coordinates, setting.drift)
+        known = BaselineStatistics.of(learn_baseline([healthy], setting.coordinates), setting.coordinates, setting.drift)
         return examine([new], known, setting.coordinates, LEVEL)
 
     def _of(self, case: str, new: int) -> Shared:

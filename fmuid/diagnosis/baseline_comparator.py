@@ -88,11 +88,8 @@ class BaselineComparator:
         elif known is not None and known.path is not None:
             basis = BaselineSource.DAMAGED
         records = [self.machine(each) for each in baseline.records]
-        variances = None if given is None else variance
-        whitening = whitening_of(records, [coordinates.healthy] * len(records), coordinates.normal, variances)
-        points = [own_point(each, whitening, coordinates) for each in records]  # what is nonlinear is no noise
-        whitening = whitening_of(records, points, coordinates.normal, variances)
-        return basis, replace(shown_by(records, whitening, coordinates), subject=asked)
+        learned = learn_baseline(records, coordinates, None if given is None else variance)
+        return basis, replace(learned, subject=asked)
 
     def model_error(self, stated: float, level: float) -> float:
         """Return κ: the largest of the known faults' data, or without them the stated one."""
@@ -114,6 +111,16 @@ class BaselineComparator:
         """Return the machine over a record."""
         baseline = self.baseline
         return LinearizedMachine(self.system, baseline.values, self.coordinates, experiment, baseline.refinement)
+
+
+def learn_baseline(
+    records: Sequence[LinearizedMachine], coordinates: ChangeParameterSet, variances: Mapping[str, float] | None = None
+) -> StoredBaseline:
+    """Return the sums of healthy records, each linearized at its own estimate."""
+    healthy = [coordinates.healthy] * len(records)
+    whitening = whitening_of(records, healthy, coordinates.normal, variances)
+    points = [own_point(each, whitening, coordinates) for each in records]  # what is nonlinear is no noise
+    return shown_by(records, whitening_of(records, points, coordinates.normal, variances), coordinates)
 
 
 @single_threaded
