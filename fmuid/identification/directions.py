@@ -17,7 +17,7 @@ from fmuid.array_types import Floats
 from fmuid.estimation import LeastSquares, Result
 from fmuid.identification.line_directions import is_estimated, line_errors
 from fmuid.identification.linearized_record import LinearizedRecord, StateForcing, both_ends
-from fmuid.identification.model_errors import CHANGING, Direction, ErrorKind, Sizes
+from fmuid.identification.model_errors import CHANGING, SENSOR_ERRORS, Direction, ErrorKind, Sizes
 from fmuid.identification.output_directions import (
     SETTINGS,
     fixed_columns,
@@ -47,15 +47,8 @@ def model_directions(
     for index, simulator in enumerate(simulators):
         columns = problem.parameters.for_experiment(index)[1]
         own = np.array([slopes[i][index] for i in columns])
-        found_here = (
-            _columns(simulator, theta[columns], simulated[index], own, len(problem.experiments), sizes)
-            if isinstance(simulator, Simulator)
-            else row_columns(simulator, theta[columns], simulated[index], own, sizes)
-        )
-        for each in found_here:
-            if is_estimated(each.kind, each.subject, simulator.parameters):
-                continue
-            found.setdefault((each.kind, each.subject), {})[index] = each
+        for each in _over(simulator, theta[columns], simulated[index], own, len(problem.experiments), sizes):
+            found.setdefault(each.key, {})[index] = each
     empty = [np.zeros(each.output_values.shape) for each in problem.experiments]
     directions = []
     for (kind, subject), parts in found.items():
@@ -72,6 +65,36 @@ def model_directions(
         if np.isfinite(column).all() and column.any() and not is_free:
             directions.append(replace(first, usual=usual, column=column))
     return tuple(directions)
+
+
+def _over(
+    simulator: AnySimulator, theta: Floats, simulated: Floats, slopes: Floats, experiments: int, sizes: Sizes
+) -> Iterator[Direction]:
+    """Yield the directions over one experiment that are no parameters."""
+    found = (
+        _columns(simulator, theta, simulated, slopes, experiments, sizes)
+        if isinstance(simulator, Simulator)
+        else row_columns(simulator, theta, simulated, slopes, sizes)
+    )
+    for each in found:
+        if not is_estimated(each.kind, each.subject, simulator.parameters):
+            yield each
+
+
+def changes_by(
+    sizes: Sizes, simulator: AnySimulator, theta: Floats, simulated: Floats, slopes: Floats
+) -> dict[tuple[ErrorKind, tuple[str, ...]], Floats]:
+    """Return what a unit of each error adds to the outputs (K, n_y) of a simulation.
+
+    Slopes (N, K, n_y) are by theta. Sensors read the machine with its own errors.
+    """
+    found, machine = dict[tuple[ErrorKind, tuple[str, ...]], Floats](), simulated
+    for _ in range(1 if all(kind in SENSOR_ERRORS for kind, _ in sizes) else 2):
+        every = _over(simulator, theta, machine, slopes, 1, sizes)
+        found = {each.key: each.column for each in every if each.key in sizes}
+        own = [sizes[key] * column for key, column in found.items() if key[0] not in SENSOR_ERRORS]
+        machine = simulated + np.sum(own, axis=0) if own else simulated
+    return found
 
 
 def _is_along(column: Floats, others: Floats) -> bool:

@@ -102,6 +102,19 @@ SENSOR_ERRORS = frozenset(
 """Errors behind the machine, whose own outputs are without them."""
 
 
+OF_RECORD = frozenset(
+    {
+        ErrorKind.CLOCK,
+        ErrorKind.ZERO_DRIFT,
+        ErrorKind.NONLINEARITY,
+        ErrorKind.INITIAL_STATE,
+        ErrorKind.FIXED,
+        *CHANGING,
+    }
+)
+"""Errors with sizes of one record, by its duration or amplitude; fixed values are corrected in the model."""
+
+
 UNSURE = frozenset({ErrorKind.ADVANCE, ErrorKind.INPUT_ADVANCE, ErrorKind.CLOCK})
 """Errors of several causes: a path that the model lacks, or a wrong clock; lost samples are no slow clock."""
 RARE = frozenset({ErrorKind.CLOCK, ErrorKind.ZERO_DRIFT, ErrorKind.NONLINEARITY, ErrorKind.HYSTERESIS})
@@ -295,6 +308,10 @@ class ModelErrors:
         False-alarm rate of all tests together.
     freed : tuple of ModelError
         Errors that are parameters of the result; the tests are beside them.
+    covariance : (m, N + m) array
+        Of the freed sizes with the estimates and with each other.
+    interval : float
+        Between samples, s: delays are in samples.
     process_noise : ProcessNoise or None
         Disturbance that explains the color of the residuals.
     feedback : Feedback or None
@@ -308,6 +325,8 @@ class ModelErrors:
     freed: tuple[ModelError, ...] = ()
     process_noise: ProcessNoise | None = None
     feedback: Feedback | None = None
+    covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    interval: float = math.nan
 
     @property
     def exposures(self) -> tuple[DirectedTest, ...]:

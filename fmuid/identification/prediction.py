@@ -5,6 +5,9 @@
 Values refitted on the recording follow the others: with S and Z the whitened sensitivities to kept and refitted values,
 
     s² = σ² + mᵀ V m + zᵀ V_z z,   mᵀ = jᵀ − zᵀ Z⁺ S,   V_z the covariance of refitted values.
+
+Model errors that the result has freed are added, with their directions over this recording; their sizes count as
+estimates. Values are refitted without them.
 """
 
 from __future__ import annotations
@@ -29,6 +32,7 @@ from fmuid.formatting import nearest
 from fmuid.identification.assessment import CONFIDENCE_LEVEL
 from fmuid.identification.identify import identify
 from fmuid.identification.likelihood_scaling import quantile
+from fmuid.identification.model_errors import OF_RECORD, ModelError, ModelErrors
 from fmuid.identification.problem import ModelReference, Problem, refinement_of
 from fmuid.identification.residual_analysis import ResidualAnalysis
 from fmuid.identification.residual_series import examine_outputs
@@ -111,6 +115,8 @@ class Prediction:
         Of the refitted values.
     undetermined : tuple of str
         Parameters without σ, which the band leaves out.
+    errors : tuple of ModelError
+        Freed errors that the simulated outputs have.
 
     Examples
     --------
@@ -129,6 +135,7 @@ class Prediction:
     residuals: ResidualAnalysis
     estimated: Result | None
     undetermined: tuple[str, ...]
+    errors: tuple[ModelError, ...] = ()
 
     json_layout: ClassVar = Layout(omitted={"std", "half_width"})
 
@@ -154,27 +161,26 @@ def predict_by_model(
     result: Result,
     experiment: Experiment,
     *,
-    values: Mapping[str, Value] | None = None,
     free: Mapping[str, Parameter] | None = None,
     level: float = CONFIDENCE_LEVEL,
+    errors: ModelErrors | None = None,
 ) -> Prediction:
-    """Predict an experiment by a result and a model; arguments and errors as of `fmuid.predict`.
+    """Predict an experiment by a result and a model; arguments and exceptions as of `fmuid.predict`.
 
     A reference to a model has fixed values and a step size, too. Estimates come before fixed values. Values that are
-    `free`, such as initial states, are refitted on this experiment alone.
+    `free`, such as initial states, are refitted on this experiment alone. Freed `errors` are added.
     """
     check_level(level, "a band")
     check_kind(result, Result, "what is predicted with must be a fmuid.Result")
     check_kind(experiment, Experiment, NO_EXPERIMENT)
-    free, values = free or {}, values or {}
+    free = free or {}
     check_kind(free, Mapping, "free must be a mapping of names to fmuid.Parameter(start)")
-    check_kind(values, Mapping, "values must be a mapping of variables to what they are held at")
     for name, parameter in free.items():
         check_kind(parameter, Parameter, f"{name!r} is free and must be a fmuid.Parameter(start)")
     known = model if isinstance(model, ModelReference) else ModelReference(System.of(model), {})
     free = {name: replace(each, prior=None, per_experiment=False) for name, each in free.items()}
-    record = _Record(known, result, experiment, {**known.values, **values, **result.chosen}, free)
-    return record.predicted(record.estimate() if free else None, level)
+    record = _Record(known, result, experiment, {**known.values, **result.chosen}, free)
+    return record.predicted(record.estimate() if free else None, level, None if free else errors)
 
 
 def estimates_for(result: Result, system: System, experiment: Experiment, without: Collection[str]) -> dict[str, str]:
@@ -252,16 +258,23 @@ class _Record:
         )
         return identify(problem.finer(self.finer), solver_check="off", restart=False)
 
-    def predicted(self, again: Result | None, level: float) -> Prediction:
+    def predicted(self, again: Result | None, level: float, errors: ModelErrors | None) -> Prediction:
         experiment, names = self.experiment, (*self.names, *self.free)
         simulator = simulator_of(self.system, experiment, names, self.held, self.step_size)
+        simulator = finer_simulator(simulator, self.system, self.finer)
         point = self.theta if again is None else np.concatenate([self.theta, again.values])
         covariance = self.result.covariance[np.ix_(self.at, self.at)]
         own = np.zeros((0, 0)) if again is None else again.covariance
         scatter = np.sqrt(np.concatenate([np.diag(covariance), np.diag(own)]))
         lost = tuple(names[i] for i in np.flatnonzero(~np.isfinite(scatter)))
         steps = self._steps(point, np.zeros_like(scatter) if lost else scatter)
-        simulated, slopes = _slopes(finer_simulator(simulator, self.system, self.finer), point, steps)
+        simulated, slopes = _slopes(simulator, point, steps)
+        added = _Added.of(errors, simulator, point, simulated, slopes) if errors is not None and errors.freed else None
+        if added is not None:
+            simulated = simulated + added.columns @ added.sizes
+            slopes = np.concatenate([slopes, added.columns], axis=2)
+            beside = added.covariance[:, self.at]
+            covariance = np.block([[covariance, beside.T], [beside, added.covariance[:, len(self.result.names) :]]])
         std = np.full(simulated.shape, np.nan) if lost else self._std(slopes, covariance, own)
         variance = self._noise_levels**2 + np.where(np.isnan(std), 0.0, std) ** 2
         fit = fit_of(self.system, experiment, simulated)
@@ -270,7 +283,8 @@ class _Record:
             _score(fit, j, variance[:, j], half[:, j]) for j in np.flatnonzero(fit.counted.any(axis=0)).tolist()
         )
         tests = ResidualAnalysis(tuple(examine_outputs(experiment, simulated)), {})
-        return Prediction(fit, std, self.noise_std, half, level, scores, tests, again, lost)
+        carried = () if added is None else added.errors
+        return Prediction(fit, std, self.noise_std, half, level, scores, tests, again, lost, carried)
 
     @property
     def _noise_levels(self) -> Floats:
@@ -293,7 +307,7 @@ class _Record:
 
     def _std(self, slopes: Floats, covariance: Floats, own: Floats) -> Floats:
         """Return the standard deviations (K, n_outputs) of the simulated outputs."""
-        kept, again = np.split(slopes, [len(self.names)], axis=2)
+        kept, again = np.split(slopes, [len(covariance)], axis=2)
         weights = np.divide(1.0, self.noise_std, out=np.zeros_like(self.noise_std), where=self.noise_std > 0)
         counted = self.experiment.counted & (weights > 0)
         rows = np.broadcast_to(weights, counted.shape)[counted][:, None]
@@ -301,6 +315,37 @@ class _Record:
         left = kept - again @ (inverse @ (kept[counted] * rows))
         parts = [np.einsum("kjp,pq,kjq->kj", *each) for each in ((again, own, again), (left, covariance, left))]
         return np.asarray(np.sqrt(parts[0] + parts[1]), dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class _Added:
+    """Freed errors in a prediction."""
+
+    errors: tuple[ModelError, ...]
+    sizes: Floats  # (m,)
+    columns: Floats  # (K, n_outputs, m)
+    covariance: Floats  # (m, N + m), with the estimates and with each other
+
+    @classmethod
+    def of(
+        cls, errors: ModelErrors, simulator: AnySimulator, theta: Floats, simulated: Floats, slopes: Floats
+    ) -> _Added | None:
+        """Return the errors of the plant; those of one record, and alternatives of unsure size, are left out."""
+        from fmuid.identification.directions import changes_by
+
+        times = simulator.experiment.times
+        samples = errors.interval / float(np.median(np.diff(times))) if len(times) > 1 else math.nan
+        found = {each.test.direction.key: each for each in errors.freed if not each.kinds & OF_RECORD}
+        factors = {key: samples if each.test.direction.unit == "samples" else 1.0 for key, each in found.items()}
+        sizes = {key: factors[key] * each.test.size for key, each in found.items() if math.isfinite(factors[key])}
+        columns = changes_by(sizes, simulator, theta, simulated, np.moveaxis(slopes, 2, 0)) if sizes else {}
+        if not columns:
+            return None
+        at = [k for k, each in enumerate(errors.freed) if each.test.direction.key in columns]
+        kept, count = [errors.freed[k] for k in at], errors.covariance.shape[1] - len(errors.freed)
+        scaled = [factors[each.test.direction.key] * columns[each.test.direction.key] for each in kept]
+        covariance = errors.covariance[np.ix_(at, [*range(count), *(count + k for k in at)])]
+        return cls(tuple(kept), np.array([each.test.size for each in kept]), np.stack(scaled, axis=2), covariance)
 
 
 def _slopes(simulator: AnySimulator, point: Floats, steps: Floats) -> tuple[Floats, Floats]:

@@ -196,7 +196,10 @@ def _freed(problem: LeastSquares, result: Result, found: ModelErrors, progress: 
     freed[-1] = replace(freed[-1], alternatives=alternatives)
     tests = tuple(_of_model(each, count) for each in now.tests)
     rest = tuple(replace(each, test=_of_model(each.test, count)) for each in now.errors)
-    return Refit(corrected, again, replace(now, names=result.names, tests=tests, errors=rest, freed=tuple(freed)))
+    times = problem.experiments[0].times
+    now = replace(now, names=result.names, tests=tests, errors=rest, freed=tuple(freed))
+    interval = float(np.median(np.diff(times))) if len(times) > 1 else math.nan
+    return Refit(corrected, again, replace(now, covariance=again.covariance[count:], interval=interval))
 
 
 def _tested(fitted: Fitted, before: ModelErrors) -> ModelErrors:

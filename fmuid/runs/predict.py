@@ -20,6 +20,7 @@ from fmuid.identification import (
     ErrorKind,
     IncomparableError,
     ModelCandidate,
+    ModelErrors,
     ModelReference,
     Prediction,
     compare_models,
@@ -56,9 +57,15 @@ def records_like(
 
 
 def predict_with(
-    study: Study, result: Result, experiment: Experiment, *, free: Sequence[str] = (), level: float = CONFIDENCE_LEVEL
+    study: Study,
+    result: Result,
+    experiment: Experiment,
+    *,
+    free: Sequence[str] = (),
+    level: float = CONFIDENCE_LEVEL,
+    errors: ModelErrors | None = None,
 ) -> Prediction:
-    """Simulate a result over a record with a study's model."""
+    """Simulate a result over a record with a study's model, and with the errors that the result has freed."""
     known = _of(study)
     again = _free(known, result, free)
     taken = {name for name in result.names if name in study.system.variables or is_quantity(name)}
@@ -67,7 +74,7 @@ def predict_with(
         if name not in taken and name not in again:
             lacking = f"{study.path}: parameters.{name}: the result has no value"
             raise InputError(f"{lacking}. Estimate it on each record (--refit {name}), or set it in model.fixed.")
-    return predict_by_model(known, result, experiment, free=again, level=level)
+    return predict_by_model(known, result, experiment, free=again, level=level, errors=errors)
 
 
 def fits_at(study: Study, result: Result) -> tuple[OutputFit, ...]:
@@ -125,7 +132,9 @@ def predict(
     check_kind(result, Result, "result must be a fmuid.Result")
     known = ModelReference(System.of(model), {}) if model is not None else _known(result)
     again = free if isinstance(free, Mapping) else _free(known, result, [free] if isinstance(free, str) else free)
-    return predict_by_model(known, result, experiment, values=values, free=again, level=level)
+    check_kind(values or {}, Mapping, "values must be a mapping of variables to what they are held at")
+    known = replace(known, values={**known.values, **(values or {})})
+    return predict_by_model(known, result, experiment, free=again, level=level)
 
 
 def _of(study: Study) -> ModelReference:
@@ -214,16 +223,18 @@ def predicted_by(
     estimates = Result.from_json(path)
     study = study or study_of(path, in_place=Path(tables[0]))
     errors = read_model_errors(path)
-    corrected, freed = errors.corrected, [each for each in errors.freed if not each.kinds <= {ErrorKind.FIXED}]
+    corrected = errors.corrected
     if corrected:
         study = replace(study, model=replace(study.model, values={**study.model.values, **corrected}))
     notes = tuple(notes_of(study, path, estimates))
     paths = [Path(table) for table in tables]
     records = list(records_like(study, paths, like))
     seen = tuple(each.name for each in records if estimates.made_from(each))
-    predictions = tuple(predict_with(study, estimates, each, free=free, level=level) for each in records)
+    predictions = tuple(predict_with(study, estimates, each, free=free, level=level, errors=errors) for each in records)
     origin = made_from(study, [path, *record_files(paths)])
-    return PredictionRun(predictions, (), notes, seen, corrected, tuple(freed), origin)
+    common = set(errors.freed).intersection(*(each.errors for each in predictions))
+    left = tuple(each for each in errors.freed if each not in common and not each.kinds <= {ErrorKind.FIXED})
+    return PredictionRun(predictions, (), notes, seen, corrected, left, origin)
 
 
 def cross_predicted(

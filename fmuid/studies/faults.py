@@ -13,7 +13,7 @@ from pydantic import BeforeValidator, PrivateAttr
 from fmuid.data import Experiment, Noise, Parameter
 from fmuid.diagnosis import MODEL_ERROR, Causes, FaultAngle, Rule
 from fmuid.errors import InputError
-from fmuid.estimation import Result
+from fmuid.estimation import Reason, Result
 from fmuid.files import is_file
 from fmuid.formatting import of_one_experiment
 from fmuid.models import System
@@ -144,11 +144,20 @@ class DiagnosisSection(StudySection):
         else:
             with self.place.below("baseline").located():
                 result = Result.from_json(self.baseline)
+            self._check_errors(result)
             names = tuple(name for name in result.names if not of_one_experiment(name) and name not in model.values)
             found._source = PriorSource(str(self.place), self.baseline, result, names)
         for each in self.faults.values():
             each.check()
         return found
+
+    def _check_errors(self, result: Result) -> None:
+        """Refuse a baseline without the errors that its estimates have beside them: it alarms for these."""
+        known = () if result.verdict is None else result.verdict.freed
+        freed = [each.subject for each in known if each.reason is Reason.MODEL_ERROR]
+        if freed and not self.healthy_data:
+            errors = ", ".join(f"{kind.replace('_', ' ')} of {' and '.join(names)}" for kind, _, _, *names in freed)
+            raise self.error(f"estimated beside model errors ({errors}). List its data in healthy_data.", "baseline")
 
     @property
     def tables(self) -> tuple[Path, ...]:

@@ -13,7 +13,7 @@ from typing import Annotated, Any, ClassVar, get_args
 from pydantic import AfterValidator, BeforeValidator, Field, GetCoreSchemaHandler, ValidationError, ValidationInfo
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
-from fmuid.files import full, is_file
+from fmuid.files import full, is_file, is_folder
 from fmuid.formatting import nearest
 from fmuid.studies.renamed_keys import renamed_value
 
@@ -134,7 +134,8 @@ def existing_file(value: object, info: ValidationInfo) -> Path:
     assert info.context is not None, "the section's location"
     path: Path = info.context.folder / value
     if not is_file(path):
-        raise refusal(f"file {full(path)} not found.")
+        there = "is a folder. Name a file in it" if is_folder(path) else "not found"
+        raise refusal(f"file {full(path)} {there}.")
     return path
 
 

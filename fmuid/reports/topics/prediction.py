@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from fmuid.formatting import fit_text, listed, two_digits, unit_text, with_std, with_unit
-from fmuid.identification import OutputScore, Prediction
+from fmuid.identification import ModelError, OutputScore, Prediction
 from fmuid.reports.document import (
     Document,
     Message,
@@ -44,6 +44,7 @@ class PredictionMessage(Message, section="prediction"):
         "Fixed values as the result corrected them: {values}.",
         remedy="Free them in the study, or on each record with --refit.",
     )
+    ADDED = plain("{record}: predicted with freed errors: {errors}.", "the result was estimated beside them")
     FREED = doubt(
         "Freed errors are not in predictions: {errors}.",
         remedy="Correct them in the data, or model them, and identify again.",
@@ -79,9 +80,7 @@ def prediction_document(found: PredictionRun) -> Document:
     said += [PredictionMessage.SEEN.said("", names=listed(found.seen))] if seen else []
     values = ", ".join(f"{name} = {value:.6g}" for name, value in found.corrected.items())
     said += [PredictionMessage.CORRECTED.said("", values=values)] if values else []
-    tests = [each.test for each in found.freed]
-    freed = [f"{error_names(each.direction)} {size_text(each.direction, each.size, each.std)}" for each in tests]
-    said += [PredictionMessage.FREED.said("", errors=listed(freed))] if freed else []
+    said += [PredictionMessage.FREED.said("", errors=_sizes(found.freed))] if found.freed else []
     said += [each for prediction in predictions for each in prediction_remarks(prediction)]
     said += [fold_remark(predictions)] if found.folds else []
     sections = (
@@ -105,6 +104,8 @@ def prediction_remarks(found: Prediction) -> list[Remark]:
     """Return the remarks on a prediction, its errors first."""
     record = found.fit.experiment
     remarks = [each for score in found.scores for each in _score_remarks(found, score)]
+    if found.errors:
+        remarks.append(PredictionMessage.ADDED.said(record=record, errors=_sizes(found.errors)))
     if found.undetermined:
         remarks.append(PredictionMessage.UNDETERMINED.said(names=listed(found.undetermined)))
     if (again := found.estimated) is not None:
@@ -116,6 +117,12 @@ def prediction_remarks(found: Prediction) -> list[Remark]:
             remarks.append(PredictionMessage.REFIT_ENDED.said(record=record, names=listed(again.names), end=end))
     units = dict(zip(found.fit.outputs, found.fit.units, strict=True))
     return [*remarks, *residual_remarks(found.residuals, units)]
+
+
+def _sizes(errors: Sequence[ModelError]) -> str:
+    """Return errors with their sizes."""
+    tests = [each.test for each in errors]
+    return listed([f"{error_names(each.direction)} {size_text(each.direction, each.size, each.std)}" for each in tests])
 
 
 def _score_remarks(found: Prediction, score: OutputScore) -> Iterator[Remark]:

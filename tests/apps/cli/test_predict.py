@@ -47,7 +47,9 @@ def test_predictions_hold_the_fixed_values_that_a_result_corrected(
     assert start == pytest.approx(content["corrected"]["L"])
 
 
-def test_predictions_say_which_freed_errors_they_lack(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_predictions_have_freed_errors_or_say_that_they_lack_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     for k, name in enumerate(("first", "second")):
         coil_table(tmp_path / f"{name}.csv", 0.0, seed=k)
         table = pd.read_csv(tmp_path / f"{name}.csv")
@@ -55,11 +57,16 @@ def test_predictions_say_which_freed_errors_they_lack(tmp_path: Path, capsys: py
     (tmp_path / "study.toml").write_text(STUDY)
     assert fmuid_("identify", tmp_path / "study.toml", "--no-isolation", "--no-report") == DONE
     words = ("-o", tmp_path / "found", "--no-isolation", "--no-report")
-    assert fmuid_("predict", tmp_path / "results", tmp_path / "second.csv", *words) == DONE
-    content = json.loads((tmp_path / "found/prediction.json").read_text())
-    (freed,) = content["freed"]
-    assert freed["test"]["direction"]["kind"] == "offset"
-    assert "Freed errors are not in predictions: offset of i 0.0" in capsys.readouterr().out
+    for more, place, said in (
+        ((), "errors", "second: predicted with freed errors: offset of i 0.0"),
+        (("--refit", "R"), "freed", "Freed errors are not in predictions: offset of i 0.0"),
+    ):
+        capsys.readouterr()
+        assert fmuid_("predict", tmp_path / "results", tmp_path / "second.csv", *words, *more) == DONE
+        content = json.loads((tmp_path / "found/prediction.json").read_text())
+        (freed,) = (content["predictions"][0] if place == "errors" else content)[place]
+        assert freed["test"]["direction"]["kind"] == "offset"
+        assert said in capsys.readouterr().out
 
 
 def test_records_are_predicted(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
