@@ -150,7 +150,9 @@ class Campaign:
             self._of(case, at).over(noisy(clean, rng, setting.noise, colour, share))
             for at, clean in enumerate(setting.records(case, rng))
         )
-        known = BaselineStatistics.of(learn_baseline([healthy], setting.coordinates), setting.coordinates, setting.drift)
+        known = BaselineStatistics.of(
+            learn_baseline([healthy], setting.coordinates), setting.coordinates, setting.drift
+        )
         return examine([new], known, setting.coordinates, LEVEL)
 
     def _of(self, case: str, new: int) -> Shared:

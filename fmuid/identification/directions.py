@@ -84,7 +84,7 @@ def _over(
 def changes_by(
     sizes: Sizes, simulator: AnySimulator, theta: Floats, simulated: Floats, slopes: Floats
 ) -> dict[tuple[ErrorKind, tuple[str, ...]], Floats]:
-    """Return what a unit of each error adds to the outputs (K, n_y) of a simulation.
+    """Return what a unit of each error adds to outputs (K, n_y).
 
     Slopes (N, K, n_y) are by theta. Sensors read the machine with its own errors.
     """

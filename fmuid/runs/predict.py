@@ -65,7 +65,7 @@ def predict_with(
     level: float = CONFIDENCE_LEVEL,
     errors: ModelErrors | None = None,
 ) -> Prediction:
-    """Simulate a result over a record with a study's model, and with the errors that the result has freed."""
+    """Simulate a result over a record, with freed errors."""
     known = _of(study)
     again = _free(known, result, free)
     taken = {name for name in result.names if name in study.system.variables or is_quantity(name)}

@@ -99,7 +99,9 @@ def test_a_baseline_beside_freed_errors_needs_healthy_data(tmp_path: Path) -> No
     diagnosis = STUDY + '[diagnosis]\nbaseline = "results/result.json"\n'
     faults = tmp_path / "faults.toml"
     faults.write_text(f"{diagnosis}[diagnosis.faults.turns]\n{fault}")
-    with pytest.raises(InputError, match=r"diagnosis.baseline: estimated beside model errors \(offset of i\). List its"):
+    with pytest.raises(
+        InputError, match=r"diagnosis.baseline: estimated beside model errors \(offset of i\). List its"
+    ):
         Study.read(faults)
     faults.write_text(f'{diagnosis}healthy_data = ["first.csv"]\n[diagnosis.faults.turns]\n{fault}')
     Study.read(faults)

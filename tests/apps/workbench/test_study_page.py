@@ -373,7 +373,9 @@ def test_study_without_parameters_is_refused(path: Path) -> None:
         StudyPage(asked_for(path.name, settings=fixed), bench_of(path.parent))
 
 
-@pytest.mark.parametrize("table", ["f,re,im\n1,4.0,0.63\n10,4.0,6.3\n100,4.0,63\n", "u,i\n4,1\n"], ids=["spectrum", "row"])
+@pytest.mark.parametrize(
+    "table", ["f,re,im\n1,4.0,0.63\n10,4.0,6.3\n100,4.0,63\n", "u,i\n4,1\n"], ids=["spectrum", "row"]
+)
 def test_rows_without_a_time_follow_the_sliders(tmp_path: Path, table: str) -> None:
     """Impedance R + 2 pi f L j, and current u/R."""
     spectral = table.startswith("f")
