@@ -16,6 +16,7 @@ from fmuid import InputError
 from fmuid.apps.cli.app import main
 from fmuid.codec import from_json
 from fmuid.identification import Contributions
+from fmuid.models import PHASOR_FORMULAS
 from fmuid.reports.topics.study_notes import input_notes
 from fmuid.runs import read_fits
 from fmuid.runs.batch.case import CaseRunner
@@ -166,6 +167,17 @@ def test_columns_without_a_time_are_matched(folder: Path, kind: str, head: str, 
         assert record.settings.frame is not None and record.settings.frame.pole_pairs == (
             60 if "frequency" in found else 2
         )
+
+
+@pytest.mark.parametrize(("fmu", "count"), [("InductionMachine.fmu", 7), ("Coil.fmu", 0)])
+def test_info_lists_the_formulas_of_declared_terminals(
+    folder: Path, fmu: str, count: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="0"):
+        main(["info", str(folder / fmu)])
+    printed = capsys.readouterr().out
+    assert sum(each.equation in printed for each in PHASOR_FORMULAS.values()) == count
+    assert ("Outputs of operating points" in printed) is bool(count)
 
 
 def test_a_spectrum_with_reversed_sign_is_one(folder: Path) -> None:
