@@ -110,6 +110,8 @@ def _read(name: str, given: str | float) -> Printed:
         if "e" in repr(given)
         else repr(given).removesuffix(".0")
     )
+    if re.search(r"\d\s*/\s*\d", text):  # of star and delta
+        raise InputError(f"{name} = {given!r} has two values. Give the one of the connection in use.")
     found = _PRINTED.fullmatch(text)
     if found is None:
         raise InputError(f'{name} = {text!r} is no printed number. Write it as "1.1 kW".')

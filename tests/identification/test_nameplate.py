@@ -144,6 +144,8 @@ def test_pole_pairs_follow_from_the_speed(n: float, f: float, pairs: int) -> Non
     ("changed", "message"),
     [
         ({"P": "much"}, "P = 'much' is no printed number"),
+        ({"U": "230/400 V"}, "U = '230/400 V' has two values. Give the one of the connection in use"),
+        ({"I": "4,7 / 2,73 A"}, "I = '4,7 / 2,73 A' has two values"),
         ({"P": "1.1 kV"}, "P: unit 'kV' does not convert to 'W'"),
         ({"I": 0}, "I must be above 0"),
         ({"P": "1.1 kVA"}, "P: 'kVA' is apparent power. Give the mechanical power in W"),
