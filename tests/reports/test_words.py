@@ -24,11 +24,13 @@ from fmuid.estimation import (
     WeakDirection,
 )
 from fmuid.formatting import with_std
-from fmuid.identification import ExtrapolationReason, OutputScore, ResidualDefect
+from fmuid.identification import ErrorKind, ExtrapolationReason, ModelErrors, OutputScore, ResidualDefect
 from fmuid.identification.model_comparison import LikelihoodRatioTest
+from fmuid.identification.model_errors import DirectedTest, Direction
 from fmuid.models import SolverConfiguration
 from fmuid.reports.document import Message, Remark, doubt
 from fmuid.reports.topics import uncertainty
+from fmuid.reports.topics.assumptions import hidden_remarks
 from fmuid.reports.topics.model_comparison import comparison_remarks
 from fmuid.reports.topics.prediction import fold_remark, prediction_remarks
 from fmuid.reports.topics.prior_and_data import obstacle_remark
@@ -267,7 +269,7 @@ def test_comparison_on_common_data() -> None:
 def prediction(ratio: float, **more: Any) -> Any:
     expected = 0.2 / ratio if ratio > 0 else math.nan
     score = OutputScore("i", "A", 50, 0.2, 0.0, 93.5, expected, ratio, 0.94)
-    own = {"scores": [score], "undetermined": (), "estimated": None}
+    own = {"scores": [score], "undetermined": (), "estimated": None, "errors": ()}
     fit = SimpleNamespace(experiment="run", outputs=("i",), units=("A",))
     return SimpleNamespace(fit=fit, level=0.95, residuals=None, **own | more)
 
@@ -297,3 +299,18 @@ def test_cross_validation_verdict() -> None:
         remark = fold_remark([prediction(each) for each in ratios])
         assert keys([remark]) == [key]
         assert times in remark.text
+
+
+def test_errors_that_no_data_show_stand_together_the_graver_first() -> None:
+    def test_of(kind: ErrorKind, subject: str, shift: float, detectable: float) -> DirectedTest:
+        direction = Direction(kind, (subject,), "", 0.01)
+        return DirectedTest(direction, 0.5, 0.0, 1.0, 0.0, 0.01, detectable, np.array([shift, 10.0]))
+
+    gains = [test_of(ErrorKind.GAIN, name, shift, math.inf) for name, shift in (("i", 1400.0), ("w", 2800.0))]
+    shows = test_of(ErrorKind.INPUT_GAIN, "u", 2000.0, 0.03)
+    both = "Not testable: gain of w (1 % moves R by 28 σ), gain of i (1 % moves R by 14 σ)."
+    could = "Could hide: input gain of u of 1 % moves R by {} σ; shows from 3 %."
+    said = hidden_remarks(ModelErrors(("R", "L"), (*gains, shows)))
+    assert [each.text for each in said] == [both, could.format(20)]
+    graver = replace(shows, shift=np.array([4000.0, 10.0]))
+    assert [each.text for each in hidden_remarks(ModelErrors(("R", "L"), (*gains, graver)))] == [could.format(40), both]

@@ -132,7 +132,7 @@ class HidingMessage(Message, section="hiding"):
         "the largest shift by an error of usual size that would not show",
     )
     UNTESTABLE = plain(
-        "Not testable: {error}; {usual} moves {name} by {shift} σ.", "the parameters make up for this error"
+        "Not testable: {errors}.", "the parameters make up for these errors; the largest shift comes first"
     )
 
 
@@ -234,20 +234,24 @@ def model_error_remarks(found: ModelErrors | None) -> list[Remark]:
 
 
 def hidden_remarks(found: ModelErrors) -> list[Remark]:
-    """Return what the gravest error that could hide would do, if any."""
+    """Return errors that cannot be seen, and the gravest that could hide."""
     named = {each.test.direction.key for each in (*found.errors, *found.freed)}
     large = takewhile(lambda each: not each.most[1] * each.direction.usual < 0.1, found.exposures)
-    open_ = (each for each in large if each.detectable > each.direction.usual and each.direction.key not in named)
-    test = next(open_, None)
-    if test is None:
-        return []
-    i, shift = test.most
-    direction = test.direction
-    values = {"error": error_names(direction), "usual": size_text(direction, direction.usual), "name": found.names[i]}
-    values["shift"] = two_digits(shift * direction.usual)
-    if not test.is_testable:
-        return [HidingMessage.UNTESTABLE.said(**values)]
-    return [HidingMessage.HIDDEN.said(**values, detectable=size_text(direction, test.detectable))]
+    open_ = [each for each in large if each.detectable > each.direction.usual and each.direction.key not in named]
+    moves = {}
+    for each in open_:
+        (i, shift), direction = each.most, each.direction
+        usual, moved = size_text(direction, direction.usual), two_digits(shift * direction.usual)
+        moves[each] = {"error": error_names(direction), "usual": usual, "name": found.names[i], "shift": moved}
+    never = [moves[each] for each in open_ if not each.is_testable]
+    texts = ["{error} ({usual} moves {name} by {shift} σ)".format(**each) for each in never]
+    more = [f"{len(texts) - SHOWN_ALTERNATIVES} more"] if len(texts) > SHOWN_ALTERNATIVES else []
+    said = [HidingMessage.UNTESTABLE.said(errors=", ".join(texts[:SHOWN_ALTERNATIVES] + more))] if texts else []
+    hidden = next((each for each in open_ if each.is_testable), None)
+    if hidden is not None:
+        detectable = size_text(hidden.direction, hidden.detectable)
+        said.append(HidingMessage.HIDDEN.said(**moves[hidden], detectable=detectable))
+    return said if not open_ or not open_[0].is_testable else said[::-1]
 
 
 def hiding_section(found: ModelErrors | None) -> list[Section]:
