@@ -49,6 +49,8 @@ class DefectKind(Enum):
     CONJUGATE = "conjugate"  # the imaginary part of a response has the reversed sign
     SIGN = "sign"  # a response has the reversed sign
     RADIANS = "radians"  # phases of a response are in radians
+    LINE_VOLTAGE = "line_voltage"  # the voltage of a supply is that between lines
+    PHASE_VOLTAGE = "phase_voltage"  # ... or that of a phase
     UNEVEN = "uneven"  # the noise variance follows the signal, its slope or the time: σ allows for it
 
     @property
@@ -59,7 +61,8 @@ class DefectKind(Enum):
     @property
     def explains_misfit(self) -> bool:
         """True if the data fit once this is corrected."""
-        return self in (DefectKind.CONJUGATE, DefectKind.SIGN, DefectKind.RADIANS)
+        signs, voltages = (DefectKind.CONJUGATE, DefectKind.SIGN), (DefectKind.LINE_VOLTAGE, DefectKind.PHASE_VOLTAGE)
+        return self in (*signs, DefectKind.RADIANS, *voltages)
 
 
 @dataclass(frozen=True)

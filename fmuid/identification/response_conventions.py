@@ -1,6 +1,6 @@
-"""Conventions of measured responses: signs, and the unit of phases.
+"""Conventions of readings: signs of responses, the unit of phases, and voltages between lines.
 
-A response that fits badly is fitted again with each other convention; the one with which it fits is named.
+What fits badly is fitted again with each other convention; the one with which it fits is named.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from fmuid.array_types import Floats
-from fmuid.data import DEGREE, Experiment, FrequencyExperiment, Response, response_of
+from fmuid.data import DEGREE, Experiment, FrequencyExperiment, Response, SteadyExperiment, response_of
 from fmuid.errors import FmuidError
 from fmuid.estimation import Evaluator, LeastSquares, Marquardt, Result
 from fmuid.identification.data_defects import DefectKind
@@ -25,41 +25,60 @@ Changed = Callable[[Sequence[Experiment]], LeastSquares]
 class ConventionSettings:
     """Limits of the comparison of conventions."""
 
-    poor: float = 50.0  # fit, %, below which other conventions are tried
+    poor: float = 80.0  # fit, %, below which other conventions are tried
     better: float = 0.2  # largest relative error with another convention, over that of now
 
 
 SETTINGS = ConventionSettings()
+VOLTAGE = "voltage"  # subject of a supply
 
 
 def find_conventions(
     system: System, experiments: Sequence[Experiment], result: Result, changed: Changed
 ) -> Iterator[tuple[str, str, str, float]]:
-    """Yield responses that fit otherwise: convention, response, experiment and fit, %."""
+    """Yield readings that fit otherwise: convention, subject, experiment and fit, %."""
 
-    def fits_of(experiment: Experiment, simulated: Floats) -> dict[str, float]:
-        fit = fit_of(system, experiment, simulated)
-        return {response_of(name): each for name, each in zip(fit.outputs, fit.fit, strict=True)}
-
-    def trials(number: int, experiment: FrequencyExperiment, name: str) -> Iterator[tuple[float, str]]:
-        for kind, other in _alternatives(experiment, name):
-            trial = changed([other if k == number else each for k, each in enumerate(experiments)])
-            try:
-                found = Marquardt().search(Evaluator(trial))
-            except FmuidError:  # such as a model that fails there: no remedy
-                continue
-            yield fits_of(other, found.fit.simulated[number])[name], kind.value
+    def fit_by(number: int, other: Experiment) -> tuple[Experiment, Floats]:
+        trial = changed([other if k == number else each for k, each in enumerate(experiments)])
+        return other, Marquardt().search(Evaluator(trial)).fit.simulated[number]
 
     for number, experiment in enumerate(experiments):
-        if isinstance(experiment, FrequencyExperiment):
-            for name, now in fits_of(experiment, result.fit.simulated[number]).items():
-                if not now >= SETTINGS.poor:
-                    fit, kind = max(trials(number, experiment, name), default=(-math.inf, ""))
-                    if 100.0 - fit <= SETTINGS.better * (100.0 - now):
-                        yield kind, name, experiment.name, fit
+        for subject, others in _conventions(experiment).items():
+            now = _least_fit(system, (experiment, result.fit.simulated[number]), subject)
+            best, found = -math.inf, ""
+            for kind, other in others.items() if now < SETTINGS.poor else ():
+                try:
+                    fit = _least_fit(system, fit_by(number, other), subject)
+                except FmuidError:  # such as a model that fails there: no remedy
+                    continue
+                best, found = max((best, found), (fit, kind.value))
+            if 100.0 - best <= SETTINGS.better * (100.0 - now):
+                yield found, subject, experiment.name, best
 
 
-def _alternatives(experiment: FrequencyExperiment, name: str) -> Iterator[tuple[DefectKind, FrequencyExperiment]]:
+def _least_fit(system: System, pair: tuple[Experiment, Floats], subject: str) -> float:
+    """Return the least fit of a response, or of all outputs, %."""
+    fit = fit_of(system, *pair)
+    own = (each for name, each in zip(fit.outputs, fit.fit, strict=True) if subject in (VOLTAGE, response_of(name)))
+    return min(filter(math.isfinite, own), default=100.0)
+
+
+def _conventions(experiment: Experiment) -> dict[str, dict[DefectKind, Experiment]]:
+    """Return the other conventions of each response, or of the supply."""
+    if isinstance(experiment, FrequencyExperiment):
+        return {name: dict(_of_response(experiment, name)) for name in experiment.responses}
+    if not isinstance(experiment, SteadyExperiment) or experiment.supply is None:
+        return {}
+    own = experiment.supply
+    kind = DefectKind.LINE_VOLTAGE if own.line_voltage is None else DefectKind.PHASE_VOLTAGE
+    supply = replace(own, voltage=own.line_voltage, line_voltage=own.voltage)
+    inputs = {name: column for name, column in experiment.columns.items() if name in experiment.input_names}
+    inputs = {name: column for name, column in inputs.items() if name not in own.given}
+    units = {name: unit for name, unit in experiment.units.items() if name not in own.given}
+    return {VOLTAGE: {kind: replace(experiment, supply=supply, inputs=inputs, units=units)}}
+
+
+def _of_response(experiment: FrequencyExperiment, name: str) -> Iterator[tuple[DefectKind, FrequencyExperiment]]:
     own = experiment.responses[name]
 
     def as_(response: Response) -> FrequencyExperiment:

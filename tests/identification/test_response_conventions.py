@@ -9,9 +9,11 @@ import pandas as pd
 import pytest
 
 import fmuid
-from fmuid.data import FrequencyExperiment, Response
+from fmuid.data import FrequencyExperiment, Response, RotatingFrame, SteadyExperiment
 from fmuid.estimation import Grade, Reason
 from fmuid.identification import DefectKind, find_data_defects, judge
+from tests.support.paths import FMUS
+from tests.support.resting import MACHINE, three_tests
 
 COIL = fmuid.datasets.coil().fmu
 FREE = {"R": fmuid.Parameter(1.0, min=0.01), "L": fmuid.Parameter(1.0, min=1e-4)}
@@ -47,6 +49,25 @@ def test_another_convention_is_named(kind: DefectKind, parts: dict[str, str]) ->
     assert found[0].values["fit"] > 99.0
     verdict = judge(result, fmuid.assess(problem, result))
     assert (verdict.grade, verdict.reasons[0]) == (Grade.NOT_USABLE, Reason.CONVENTION)
+
+
+@pytest.mark.parametrize(
+    ("said", "column", "kind"),
+    [
+        ("voltage", "U", None),
+        ("voltage", "UL", DefectKind.LINE_VOLTAGE),
+        ("line_voltage", "UL", None),
+        ("line_voltage", "U", DefectKind.PHASE_VOLTAGE),
+    ],
+)
+def test_voltages_between_lines_are_named(said: str, column: str, kind: DefectKind | None) -> None:
+    phase, line = (column, None) if said == "voltage" else (None, column)
+    supply = RotatingFrame(50.0, phase, line, "s")
+    experiment = SteadyExperiment(three_tests(), outputs={"I_rms": "I", "P": "P"}, supply=supply, name="tests")
+    free = {name: fmuid.Parameter(1.3 * value, min=0.1 * value, max=10.0 * value) for name, value in MACHINE.items()}
+    problem = fmuid.Problem(FMUS / "InductionMachine/InductionMachine.fmu", experiment, free)
+    found = [each for each in find_data_defects(problem, fmuid.identify(problem)) if each.kind.explains_misfit]
+    assert [each.kind for each in found] == ([] if kind is None else [kind])
 
 
 @pytest.mark.parametrize("parts", [POLAR, COMPLEX, {"magnitude": "size"}])

@@ -73,6 +73,7 @@ def test_forty_of_forty_starts_converge(made: Callable[[str], Path]) -> None:
 def test_intervals_of_spectra_cover(made: Callable[[str], Path]) -> None:
     """95 % of 400 draws, each parameter by the exact binomial test."""
     converged, covered = fits(made(SYNCHRONOUS), range(100, 500))
+    print(f"covered: {covered} of 400, {converged} converged")
     assert converged == 400
     assert min(scipy.stats.binomtest(int(each), 400, 0.95).pvalue for each in covered) > 0.05 / TRUTH.size, covered
 

@@ -150,11 +150,14 @@ def test_coupled_fmus_that_never_rest_say_so(made: Callable[[str], Path]) -> Non
 
 
 @pytest.mark.campaign
-def test_intervals_of_load_points_cover() -> None:
-    """95 % of 400 draws with known noise, each parameter by the exact binomial test."""
-    table, truth, covered, level = three_tests(), np.array(list(MACHINE.values())), [], {"I": 0.002, "P": 0.005}
+@pytest.mark.parametrize(("copies", "known"), [(1, True), (7, False)])
+def test_intervals_of_load_points_cover(copies: int, known: bool) -> None:
+    """95 % of 400 draws with known or estimated noise, each parameter by the exact binomial test."""
+    table = pd.concat([three_tests()] * copies, ignore_index=True)
+    truth, covered, level = np.array(list(MACHINE.values())), [], {"I": 0.002, "P": 0.005}
     free = {name: fmuid.Parameter(1.3 * value, min=1e-3) for name, value in MACHINE.items()}
     noise = fmuid.Noise(std={"I_rms": tuple(level["I"] * table["I"]), "P": tuple(level["P"] * table["P"])})
+    noise = noise if known else fmuid.Noise(reading_std="estimate")
     for seed in range(400):
         random = np.random.default_rng(seed)
         noisy = {name: table[name] * (1.0 + size * random.normal(size=len(table))) for name, size in level.items()}
@@ -163,6 +166,7 @@ def test_intervals_of_load_points_cover() -> None:
         bounds = fmuid.identify(fmuid.Problem(INDUCTION, experiment, free, noise=noise)).intervals(0.95)
         covered.append((bounds["lower"] <= truth) & (bounds["upper"] >= truth))
     counts = np.sum(covered, axis=0)
+    print(f"covered by {len(table)} rows: {counts} of 400")
     assert min(scipy.stats.binomtest(int(each), 400, 0.95).pvalue for each in counts) > 0.05 / truth.size, counts
 
 

@@ -112,6 +112,16 @@ class DefectMessage(Message, section="residuals"):
         "they are read as degrees",
         'Set `units = { "Z.phase" = "rad" }` for response Z.',
     )
+    LINE_VOLTAGE = doubt(
+        "voltage of {experiment} is between lines (fit {fit:.0f}%)",
+        "it is read as that of a phase",
+        "Set `line_voltage` in place of `voltage` in `frame`.",
+    )
+    PHASE_VOLTAGE = doubt(
+        "voltage of {experiment} is that of a phase (fit {fit:.0f}%)",
+        "it is read as that between lines",
+        "Set `voltage` in place of `line_voltage` in `frame`.",
+    )
     UNEVEN = plain("noise of {output} is uneven ({factor:.2g} ×)", "it follows the signal or time: σ allows for it")
 
 
