@@ -246,6 +246,8 @@ def numeric_column(frame: pd.DataFrame, column: str, source: str) -> Floats:
     row, cell = _first_text(series)
     comma = "," in cell and is_number(cell, ",")
     remedy = "Write decimal points." if comma else _remedy_of_texts(series)
+    if column == "time" and not any(map(str.isdigit, cell)) and row > 1:
+        remedy = "Remove rows without a time."
     if is_time_name(column) and ":" in cell:
         remedy = "Write dates as 2026-02-28 12:00:00, times as 12:00:00."
     raise InputError(f"{source}: column {column!r}: {cell!r} in row {row} is no real number. {remedy}")

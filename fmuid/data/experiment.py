@@ -341,7 +341,8 @@ def _times(source: str, frame: pd.DataFrame, time: str, least: int) -> Floats:
     if back.size:
         before, after = times[back[0] : back[0] + 2]
         said = f"row {back[0] + 2} goes back from {before:.9g} s to {after:.9g} s"
-        raise InputError(f"{column}: {said}. Sort the rows or split the data.")
+        again = after <= times[: back[0] + 1].min()  # sorted rows of two runs would alternate
+        raise InputError(f"{column}: {said}. {'Split the data there' if again else 'Sort the rows or split the data'}.")
     thrice = np.flatnonzero((steps[:-1] == 0) & (steps[1:] == 0))
     if thrice.size:
         said = f"{times[thrice[0]]:.9g} s more than twice from row {thrice[0] + 1}"
@@ -381,6 +382,8 @@ def _values(
             remedy = (
                 f"Fill the gap, {fill}, or cut the data there." if role == "input" else "Leave missing cells empty."
             )
+            if np.isnan(values[:, k]).all():
+                raise InputError(f"{source}: {role} column {column!r} is empty. Write values, also of formulas.")
             where = f"in row {row + 1} (t = {times[row]:.9g} s)"
             raise InputError(f"{source}: {role} column {column!r} {found} {where}. {remedy}")
     return values

@@ -60,6 +60,17 @@ _ZONED = re.compile(
     rf"(?P<local>.*\d(?: [AaPp][Mm])?)\s?"
     rf"(?:(?P<zone>{'|'.join(_ZONES)})|(?:GMT|UTC)?(?P<offset>[+-]\d{{2}}:?(?:\d{{2}})?))"
 )
+_MONTH = re.compile(r"(?P<day>\d{1,2})[. -]+(?P<month>[^\W\d_]{3,9})\.?[ -](?=\d{2,4}\b)")
+_MONTHS = dict(
+    each.split("=")
+    for each in (
+        *("jän=Jan", "mär=Mar", "mrz=Mar", "mai=May", "okt=Oct", "dez=Dec", "janv=Jan", "fév=Feb", "mars=Mar"),
+        *("avr=Apr", "juin=Jun", "juil=Jul", "aoû=Aug", "déc=Dec", "ene=Jan", "abr=Apr", "ago=Aug", "dic=Dec"),
+        *("gen=Jan", "mag=May", "giu=Jun", "lug=Jul", "set=Sep", "ott=Oct", "out=Oct", "maj=May", "mei=May"),
+        *("jan=Jan", "feb=Feb", "mar=Mar", "apr=Apr", "jun=Jun", "jul=Jul", "aug=Aug", "sep=Sep", "oct=Oct", "nov=Nov"),
+    )
+)
+"""Begins of months in German, French, Spanish, Italian, Portuguese, Swedish and Dutch, in English."""
 _HALF_DAY = re.compile(r"\d{1,2}:\d{2}(:\d{2}(\.\d+)?)? [ap]m", re.IGNORECASE)
 _HOUR, _DAY = 3600.0, 86_400.0
 
@@ -92,10 +103,19 @@ def times_of(series: pd.Series[Any], column: str, source: str) -> tuple[Any, pd.
 
 def _usual(texts: pd.Series[Any]) -> pd.Series[Any]:
     """Return texts in the usual spelling; the first tells the kind of many."""
+    if _MONTH.match(str(texts.iloc[0])):
+        texts = texts.str.replace(_MONTH, _in_english, regex=True)
     for form, usual in _REWRITTEN:
         if form.search(str(texts.iloc[0])):
             texts = texts.str.replace(form, usual, regex=True)
     return texts
+
+
+def _in_english(date: re.Match[str]) -> str:
+    """Return day and month with an English name."""
+    name = date["month"].lower()
+    known = next((month for word, month in _MONTHS.items() if name.startswith(word)), None)
+    return date[0] if known is None else f"{date['day']}-{known}-"
 
 
 def _in_24_hours(texts: pd.Series[Any]) -> pd.Series[Any]:

@@ -155,10 +155,11 @@ class Description:
                 return conversion
         if variable.unit:
             key = variable.name if variable.name.isidentifier() else f'"{variable.name}"'
+            share, counted = ("%", "percent") if "%" in unit else ("pu", "multiples")
             raise InputError(
                 f"{variable.name}: column unit {unit!r} does not convert to {variable.unit!r} of {self.model_name}. "
                 f'Set units = {{ {key} = "{variable.unit}" }} for numbers in {variable.unit}, '
-                f'or "pu of 10 {variable.unit}" for multiples of 10 {variable.unit}.'
+                f'or "{share} of 10 {variable.unit}" for {counted} of 10 {variable.unit}.'
             )
         if meant is not None and (meant.factor, meant.offset) == (1.0, 0.0):
             return 1.0, 0.0  # coherent SI, as Modelica computes in

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fmuid import InputError, Study, datasets, read_data
+from fmuid import Experiment, InputError, Study, datasets, read_data
 from tests.support.bench_texts import COMTRADE
 
 HOUR = 3600.0
@@ -109,3 +109,31 @@ def test_a_header_that_lacks_a_name_is_no_row_number(tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_text("time u\n" + "".join(f"{k} {0.5 * k} 3\n" for k in range(1, 9)))
     with pytest.raises(InputError):
         read_data(tmp_path / "a.txt")
+
+
+@pytest.mark.parametrize(
+    ("months", "form"),
+    [
+        (("Mrz", "Mai", "Okt", "Dez"), "{:02}-{}-2026 12:00:00"),
+        (("mars", "mai", "oct.", "déc."), "{} {} 2026 12:00:00"),
+    ],
+)
+def test_months_of_other_languages(tmp_path: Path, months: tuple[str, ...], form: str) -> None:
+    rows = "".join(f"{form.format(5, month)};{k}\n" for k, month in enumerate(months))
+    (tmp_path / "a.csv").write_text(f"time;u\n{rows}", encoding="utf-8")
+    days = pd.to_datetime([f"2026-{month}-05" for month in ("03", "05", "10", "12")])
+    np.testing.assert_array_equal(read_data(tmp_path / "a.csv")["time"], (days - days[0]).total_seconds())
+
+
+def test_two_runs_below_one_another_are_not_to_be_sorted() -> None:
+    frame = pd.DataFrame({"time": [0.0, 1.0, 2.0, 0.0, 1.0, 2.0], "u": 1.0, "i": 2.0})
+    with pytest.raises(InputError, match=r"row 4 goes back from 2 s to 0 s\. Split the data there\."):
+        Experiment(frame, ["u"], ["i"])
+    with pytest.raises(InputError, match=r"row 4 goes back .* Sort the rows or split the data\."):
+        Experiment(frame.assign(time=[0.0, 2.0, 3.0, 1.0, 4.0, 5.0]), ["u"], ["i"])
+
+
+def test_formulas_without_values_are_an_empty_column() -> None:
+    frame = pd.DataFrame({"time": [0.0, 1.0, 2.0], "u": np.nan, "i": 2.0})
+    with pytest.raises(InputError, match=r"input column 'u' is empty\. Write values, also of formulas\."):
+        Experiment(frame, ["u"], ["i"])

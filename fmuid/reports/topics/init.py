@@ -34,7 +34,7 @@ class InitMessage(Message, section="columns"):
         "{file}: unit {unit!r} of {column!r} does not convert to {wanted!r}.",
         remedy=(
             "Add --unit {name}={wanted} for numbers in {wanted}, "
-            '"--unit={name}=pu of 10 {wanted}" for multiples of 10 {wanted}.'
+            '"--unit={name}={share} of 10 {wanted}" for {counted} of 10 {wanted}.'
         ),
     )
     HELD = doubt(
@@ -134,7 +134,9 @@ def remarks(record: MatchedDataFile) -> list[Remark]:
         say(InitMessage.NO_OUTPUTS)
     for link in record.foreign_units:
         unit = record.asked.units.get(link.variable, link.column_unit)
-        say(InitMessage.UNIT, unit=unit, column=link.column, name=link.variable, wanted=link.unit or "1")
+        share, counted = ("%", "percent") if "%" in (unit or "") else ("pu", "multiples")
+        words = {"wanted": link.unit or "1", "share": share, "counted": counted}
+        say(InitMessage.UNIT, unit=unit, column=link.column, name=link.variable, **words)
     rows = 0 if record.experiment is None else record.experiment.times.size
     for column, count in record.missing.items():
         found.append(missing_remark(file, column, count, rows))
