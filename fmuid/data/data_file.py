@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import pandas as pd
 from fmuid.array_types import Floats
 from fmuid.data.cells import OVERLOADS, is_number, numbers_of
 from fmuid.data.clock import TimedTable, time_column, time_name, with_time
-from fmuid.data.headers import RawTable, check_once, named
+from fmuid.data.headers import RawTable, check_once, named, with_columns
 from fmuid.data.long_tables import rows_of_signals, with_columns_of_signals, with_units_of_columns
 from fmuid.data.readers import BINARY, WITH_SHEETS, format_of, is_text, read_binary
 from fmuid.data.readers.base import FileColumns
@@ -133,7 +134,7 @@ def read_data(
     rows = rows_of_signals(raw) if time is not None else None
     if rows is not None and (column := time_column(rows, time or "time", source)) is not None:
         raw = with_columns_of_signals(rows, column, source)
-    raw = replace(raw, frame=raw.frame.apply(_without_marks, marks=tuple(missing or ())))
+    raw = replace(raw, frame=with_columns(raw.frame, partial(_without_marks, marks=tuple(missing or ()))))
     timed = TimedTable(raw.frame)
     if time is not None:
         timed = with_time(raw, time, time_unit, sample_rate, clocks or {}, source)
@@ -168,7 +169,7 @@ def _is_text(path: Path) -> bool:
 
 def with_missing(frame: pd.DataFrame, missing: Sequence[float]) -> pd.DataFrame:
     """Return a frame as `read_data` returns it with these marks."""
-    found = frame.apply(_without_marks, marks=tuple(missing))
+    found = with_columns(frame, partial(_without_marks, marks=tuple(missing))).copy(deep=False)
     found.attrs = {**frame.attrs, DECIDED: True}
     return found
 
@@ -179,7 +180,7 @@ def _without_marks(column: pd.Series[Any], marks: Sequence[str | float]) -> pd.S
     if pd.api.types.is_float_dtype(kind) or (marks and pd.api.types.is_integer_dtype(kind)):
         numbers = [each for each in marks if isinstance(each, int | float)]
         found = column.isin(numbers) if numbers else None
-        if pd.api.types.is_float_dtype(kind) and column.abs().max() > min(OVERLOADS) / 2:
+        if pd.api.types.is_float_dtype(kind) and max(column.max(), -column.min()) > min(OVERLOADS) / 2:
             beyond = np.isclose(column.abs().to_numpy()[:, None], OVERLOADS, rtol=1e-6).any(axis=1)
             found = beyond if found is None else found | beyond
         return column if found is None or not found.any() else column.mask(found).astype(np.float64)
@@ -197,6 +198,8 @@ def _without_events(frame: pd.DataFrame, time: str) -> pd.DataFrame:
     """Return a frame without last rows of text alone, a logger's events."""
     others = frame.drop(columns=time, errors="ignore")
     measured, texts = (others[[name for name in others if others[name].dtype.kind in kind]] for kind in ("f", "OTU"))
+    if texts.empty:
+        return frame
     is_event = (measured.isna().all(axis="columns") & texts.notna().any(axis="columns")).to_numpy()
     return frame if is_event.all() or not is_event[-1] else frame[: int(np.flatnonzero(~is_event)[-1]) + 1]
 

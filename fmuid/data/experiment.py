@@ -378,14 +378,12 @@ def _values(
         if bad.size:
             row = bad[0]
             found = "has no value" if np.isnan(values[row, k]) else f"is {values[row, k]}"
-            fill = f'preprocess = {{ fill_missing = {{ {json.dumps(column)} = "linear" }} }}'
-            remedy = (
-                f"Fill the gap, {fill}, or cut the data there." if role == "input" else "Leave missing cells empty."
-            )
+            remedy = f'preprocess = {{ fill_missing = {{ {json.dumps(column)} = "linear" }} }}, or cut the data there.'
+            remedy = f"Fill the gap, {remedy}" if role == "input" else "Leave missing cells empty."
             if np.isnan(values[:, k]).all():
                 raise InputError(f"{source}: {role} column {column!r} is empty. Write values, also of formulas.")
-            where = f"in row {row + 1} (t = {times[row]:.9g} s)"
-            raise InputError(f"{source}: {role} column {column!r} {found} {where}. {remedy}")
+            said = f"{role} column {column!r} {found} in row {row + 1} (t = {times[row]:.9g} s)"
+            raise InputError(f"{source}: {said}. {remedy}")
     return values
 
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import partial
 from itertools import accumulate
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fmuid.data.cells import MISSING, Cell, is_missing, is_number
 from fmuid.data.time_names import TIME_NAMES, counts_part, is_time_name, plain_name
@@ -94,6 +94,12 @@ class RawTable:
     left_out: dict[str, str] = field(default_factory=dict)
     step: float | None = None
     rows: int | None = None
+
+
+def with_columns(frame: pd.DataFrame, change: Callable[[pd.Series[Any]], pd.Series[Any]]) -> pd.DataFrame:
+    """Return a frame with changed columns; others are not copied."""
+    changed = {name: new for name, column in frame.items() if (new := change(column)) is not column}
+    return frame.assign(**{str(name): new for name, new in changed.items()}) if changed else frame
 
 
 @dataclass(frozen=True)

@@ -88,11 +88,11 @@ def dates_in_digits(values: Any) -> Any:
 
 def clock_in_digits(values: Any) -> Any:
     """Return times of day such as 125959.9 in s; None for others: only the leap to 130000 tells them."""
-    numbers = pd.to_numeric(values, errors="coerce") if pd.api.types.is_numeric_dtype(values.dtype) else None
-    if numbers is None or len(numbers) < 10 or not numbers.between(0, 240_000, inclusive="left").all():
+    numbers = values if pd.api.types.is_numeric_dtype(values.dtype) and len(values) > 10 else None
+    if numbers is None or not 10_000 <= numbers.iloc[0] < 240_000 or not numbers.between(0, 240_000).all():
         return None
     hours, minutes, seconds = numbers // 10_000, numbers // 100 % 100, numbers % 100
-    if minutes.max() >= 60 or seconds.max() >= 60 or numbers.iloc[0] < 10_000:
+    if minutes.max() >= 60 or seconds.max() >= 60:
         return None
     found = 3600.0 * hours + 60.0 * minutes + seconds
     found += SECONDS["d"] * (found.diff() < 0).cumsum()  # past midnight

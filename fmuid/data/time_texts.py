@@ -183,8 +183,8 @@ def check_local_times(dates: pd.Series[Any], clock: tuple[Floats, pd.Timestamp],
 
 def _dates(texts: pd.Series[Any], column: str, source: str) -> pd.Series[Any] | None:
     """Return texts as dates, None if they are none; 24:00 is midnight of the next day."""
-    with suppress(ValueError, TypeError):  # the other orders are tried below
-        return pd.to_datetime(texts, format="ISO8601")
+    with suppress(ValueError, TypeError):  # the other orders are tried below; pandas converts its own texts twice
+        return pd.Series(pd.to_datetime(texts.to_numpy(dtype=object), format="ISO8601"), texts.index)
     late = pd.to_timedelta(texts.str.contains(_MIDNIGHT).astype(int), unit="D")
     if late.any():
         texts = texts.str.replace(_MIDNIGHT, "00:00", regex=True)

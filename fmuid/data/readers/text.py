@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 
 from fmuid.data.cells import NO_SAMPLE, is_missing, is_number, may_be_number, numbers_of
-from fmuid.data.headers import RawTable, TableHeader, check_once, check_units, find_head, is_unit, named
+from fmuid.data.headers import RawTable, TableHeader, check_once, check_units, find_head, is_unit, named, with_columns
 from fmuid.data.readers.cell_units import without_units
 from fmuid.data.readers.encodings import decoded
 from fmuid.data.readers.instruments import head_of, rewriter_of
@@ -324,7 +324,7 @@ def _samples(opened: Callable[[], IO[bytes]], source: str, layout: _Layout, name
     rows = len(frame)
     if not any(map(pd.api.types.is_numeric_dtype, frame.dtypes)):  # parts put together, each with the header
         frame = frame[~(frame == list(layout.head.names)).all(axis="columns")].reset_index(drop=True)
-    frame = frame.apply(as_numbers, decimal=layout.decimal)
+    frame = with_columns(frame, partial(as_numbers, decimal=layout.decimal))
     last = frame[names[-1]]
     uneven = last.hasnans and not _are_even(
         opened, layout, rows, remark=last.count() == 1 and bool(last.notna().iloc[0])
@@ -378,6 +378,8 @@ def _of_parser(error: str, width: int) -> str:
 
 def as_numbers(column: pd.Series[Any], decimal: str) -> pd.Series[Any]:
     """Return a numeric column, NaN where marked as missing; else unchanged."""
+    if pd.api.types.is_numeric_dtype(column.dtype):
+        return column
     there = column.dropna()
     first = there.iloc[0] if len(there) else None
     if not isinstance(first, str) or not (is_missing(first) or may_be_number(first, decimal)):
