@@ -93,7 +93,7 @@ def settle(
         moving = ~done & ~lost
         if not moving.any():
             break
-        trial = np.where(moving[:, None], states + np.nan_to_num(moves), states)
+        trial = np.where(moving[:, None] & np.isfinite(moves), states + moves, states)
         others = model.at(trial, thetas)
         correction = system.solve(others.rates[0] - moves / step[:, None])
         contraction = _norm(correction / scale) / np.maximum(sizes, 1e-300)
@@ -161,6 +161,8 @@ def _inverses(matrices: Floats) -> Floats:
 
 def _chosen(which: Flags, new: StateSpace, old: StateSpace) -> StateSpace:
     """Return the new models of some rows (K,), else the old ones."""
+    if which.all():
+        return new
     parts = [
         np.where(which.reshape(1, -1, *[1] * (one.ndim - 2)), one, other)
         for one, other in zip(vars(new).values(), vars(old).values(), strict=True)
