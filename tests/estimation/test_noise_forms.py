@@ -1,6 +1,7 @@
 """Forms in which noise is given: each against the closed form of a linear model."""
 
 import math
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from fmuid.array_types import Floats
 from fmuid.data import UNITS, robust_variance
 from fmuid.estimation import Evaluator, LeastSquares, misfits
 from fmuid.estimation.cost_components import fitted
+from fmuid.estimation.noise.uneven import uneven_levels
 from fmuid.estimation.predictors import FunctionPredictor
 from fmuid.identification import Deviation, identify
 from fmuid.identification.sampler import log_density
@@ -259,3 +261,12 @@ def test_stated_variance_scales_standard_deviations_alone(color: float) -> None:
         if color == 0.0:
             assert found.estimates.colored_noise_factor == pytest.approx(1.0, abs=0.1)
             assert test.deviation is deviation
+
+
+def test_noise_far_from_a_fit_is_not_uneven() -> None:
+    """Its squares overflow; nothing is said, as of equal ones."""
+    rows = np.arange(60)
+    model: Any = SimpleNamespace(series=SimpleNamespace(rows=rows, ordered=False), whiten=lambda residual: residual)
+    residual = np.where(rows % 2, 1e80, 1.0)
+    with np.errstate(over="raise"):
+        assert uneven_levels([model], residual, rows.astype(np.float64)) is None

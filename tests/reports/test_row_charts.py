@@ -9,9 +9,10 @@ import pytest
 import fmuid
 from fmuid import Noise
 from fmuid.data import FrequencyExperiment, Response
-from fmuid.identification import find_contributions
+from fmuid.identification import Contributions, find_contributions
+from fmuid.identification.contributions import Contribution
 from fmuid.reports.chart import Chart
-from fmuid.reports.topics.row_charts import bands, row_charts
+from fmuid.reports.topics.row_charts import bands, contribution_sections, row_charts
 from fmuid.simulation import OutputFit, fit_of
 
 FREQUENCIES = np.logspace(-1.0, 2.0, 20)
@@ -55,6 +56,15 @@ def test_nyquist_of_capacitive_impedances_has_its_arcs_upwards(
     assert nyquist.y.label == label
     np.testing.assert_allclose(np.asarray(nyquist.layers[0].data["y"]), drawn, rtol=1e-5)
     assert bode[2].y.label == ("−" if imaginary == "-im" else "") + f"Z.imaginary ({unit})"
+
+
+def test_what_experiments_bring_stands_below_its_parameters() -> None:
+    """Sizes of freed errors have factors of their own, which are no column."""
+    none = (np.full((1, 1), np.nan),)
+    found = Contributions((Contribution("first", (2.0, np.inf, 7.0), 1, 0.25),), none, none, none)
+    (section,) = contribution_sections(found, ("R", "L"), [])
+    assert [each.head for each in section.table] == ["without", "R", "L", "agreement"]
+    assert [each.cells[0] for each in section.table] == ["first", "× 2", "only here", "p = 0.25"]
 
 
 @pytest.mark.parametrize("relative", [True, False])

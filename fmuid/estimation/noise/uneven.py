@@ -54,7 +54,8 @@ def _variance(squares: Floats, signal: Floats, level: float, *, ordered: bool) -
     unit = np.stack([each / np.linalg.norm(each) for each in columns], axis=1)
     products = unit.T @ centered
     i = int(np.argmax(np.abs(products)))
-    score = abs(float(products[i])) / math.sqrt(float(np.mean(centered**2)))
+    with np.errstate(over="ignore"):  # far from a fit, of which nothing is said then
+        score = abs(float(products[i])) / math.sqrt(float(np.mean(centered**2)))
     if 2.0 * special.ndtr(-score) * len(columns) > level:
         return None
     variance = squares.mean() + products[i] * unit[:, i]

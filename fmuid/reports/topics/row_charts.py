@@ -154,7 +154,8 @@ def contribution_sections(
         return []
     sections, rows = [], []
     for each in found.parts:
-        factors = (f"× {factor:.3g}" if np.isfinite(factor) else "only here" for factor in each.widening)
+        own = each.widening[: len(names)]  # sizes of freed errors follow
+        factors = (f"× {factor:.3g}" if np.isfinite(factor) else "only here" for factor in own)
         agreement = "" if np.isnan(each.probability) else f"p = {each.probability:.2g}"
         rows.append((each.experiment, *factors, agreement))
     if rows:
