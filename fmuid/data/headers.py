@@ -34,6 +34,10 @@ _ALTERED = re.compile(
     r"[kmµun]?(V|A|W|Hz|Nm|N|Pa|bar)([_ ]?(eff|rms|RMS|pk|pp|ac|dc|AC|DC|avg|peak|mean|p-p|x?\d+))", re.ASCII
 )
 """Units with an addition that changes their meaning."""
+_SCALED = re.compile(r"(\D+?)\s*[x×*]\s*[\d.,]+|[x×*]?\s*[\d.,]+\s*[x×*]?\s*(\D+)")
+"""Units with a factor: ``V x 0.1``, ``10 A``."""
+_EITHER = ("MV", "MA", "MOHM")
+"""Units whose first letter may be a small one where all headers are in capitals."""
 _UNIT_LENGTH = 12
 _STEP_KEYS = (
     "hresolution", "delta x", "deltax", "dx", "dt", "sample interval", "sampling interval", "sample period",
@@ -146,7 +150,8 @@ def split_header(header: str) -> tuple[str, str | None]:
 def _like_unit(text: str) -> bool:
     """Return whether an unknown text is written as units are: ``Aeff``, ``A*10``."""
     marked = re.search(r"[/*·^%°²³⁻¹Ωµμ]", text) is not None and " " not in text and len(text) <= _UNIT_LENGTH
-    return marked or _ALTERED.fullmatch(text) is not None
+    scaled = _SCALED.fullmatch(text)
+    return marked or _ALTERED.fullmatch(text) is not None or (scaled is not None and is_unit(scaled[1] or scaled[2]))
 
 
 def is_unit(text: str) -> bool:
@@ -168,6 +173,8 @@ def named(headers: Sequence[str], units: Sequence[str] = ()) -> tuple[list[str],
     names = _numbered(names)
     below = [cell.strip().strip("[]()").strip() for cell in units] or [""] * len(names)
     said = {name: below[k] or split[k][1] for k, name in enumerate(names)}
+    if not any(map(str.islower, "".join((*headers, *units)))):
+        said = {name: f"{unit} or m{unit[1:]}" if unit in _EITHER else unit for name, unit in said.items()}
     return names, {name: unit for name, unit in said.items() if unit}
 
 

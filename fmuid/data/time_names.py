@@ -31,6 +31,7 @@ _TIME_WORDS = (
     "clock",
     "ts",
     "secs",
+    "epoch",
 )
 
 

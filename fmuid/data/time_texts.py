@@ -40,7 +40,6 @@ _REWRITTEN = (
     (re.compile(r"\s\s+"), " "),
     (re.compile(r"^(\d{1,2})\.(\d{2})(?=\s?[AaPp]\.?[Mm]\.?$)"), r"\1:\2"),
     (re.compile(r"(?<=\d)\s?([AaPp])\.?\s?[Mm]\.?$"), r" \1m"),
-    (re.compile(r"(\d:\d{2}:\d{2})[:;](?=\d{1,6}(?: [AaPp]m)?$)"), r"\1."),
     (re.compile(r"^(\d{1,3}:\d{2}[.,]\d+)$"), r"0:\1"),
     (re.compile(r" (?:UTC|GMT)$"), "Z"),
     (re.compile(r"^(\d{4})年(\d{1,2})月(\d{1,2})日 ?"), r"\1-\2-\3 "),
@@ -71,6 +70,8 @@ _MONTHS = dict(
     )
 )
 """Begins of months in German, French, Spanish, Italian, Portuguese, Swedish and Dutch, in English."""
+_FOURTH = re.compile(r"(\d:\d{2}:\d{2})[:;](\d{1,6})(?=$| [AaPp]\.?[Mm]\.?$)")
+"""Times with a fourth part."""
 _HALF_DAY = re.compile(r"\d{1,2}:\d{2}(:\d{2}(\.\d+)?)? [ap]m", re.IGNORECASE)
 _HOUR, _DAY = 3600.0, 86_400.0
 
@@ -105,10 +106,23 @@ def _usual(texts: pd.Series[Any]) -> pd.Series[Any]:
     """Return texts in the usual spelling; the first tells the kind of many."""
     if _MONTH.match(str(texts.iloc[0])):
         texts = texts.str.replace(_MONTH, _in_english, regex=True)
+    texts = _with_fractions(texts)
     for form, usual in _REWRITTEN:
         if form.search(str(texts.iloc[0])):
             texts = texts.str.replace(form, usual, regex=True)
     return texts
+
+
+def _with_fractions(texts: pd.Series[Any]) -> pd.Series[Any]:
+    """Return ``12:00:00:250`` as 12:00:00.250; two digits below 30 may be frames and stay as they are."""
+    if not _FOURTH.search(str(texts.iloc[0])):
+        return texts
+    parts = texts.str.extract(_FOURTH)[1]
+    widths, highest = parts.str.len(), pd.to_numeric(parts).max()
+    if parts.isna().any() or (widths.max() == 2 and highest < 30):
+        return texts
+    width = 3 if widths.min() < widths.max() and highest < 1000 else 0  # ms without leading zeros
+    return texts.str.replace(_FOURTH, lambda found: f"{found[1]}.{found[2].zfill(width)}", regex=True)
 
 
 def _in_english(date: re.Match[str]) -> str:

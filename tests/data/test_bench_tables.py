@@ -137,3 +137,18 @@ def test_formulas_without_values_are_an_empty_column() -> None:
     frame = pd.DataFrame({"time": [0.0, 1.0, 2.0], "u": np.nan, "i": 2.0})
     with pytest.raises(InputError, match=r"input column 'u' is empty\. Write values, also of formulas\."):
         Experiment(frame, ["u"], ["i"])
+
+
+def test_parts_of_seconds_after_a_colon(tmp_path: Path) -> None:
+    """Milliseconds may lack zeros; hundredths reach 99; up to 29 they may be frames."""
+    for steps, form, step in ((20, "{}", 0.05), (100, "{:02}", 0.01)):
+        parts = [form.format(round(1e3 * step * k) if form == "{}" else k) for k in range(steps)]
+        (tmp_path / "a.csv").write_text("time,u\n" + "".join(f"12:00:00:{part},1\n" for part in parts))
+        np.testing.assert_allclose(read_data(tmp_path / "a.csv")["time"], step * np.arange(steps), atol=1e-9)
+
+
+def test_units_in_capitals_are_either(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("TIME [S],U [MV],P [MW]\n0,1,2\n1,3,4\n")
+    assert read_data(tmp_path / "a.csv").attrs["units"] == {"U": "MV or mV", "P": "MW"}
+    (tmp_path / "a.csv").write_text("time [s],U [MV],P [MW]\n0,1,2\n1,3,4\n")
+    assert read_data(tmp_path / "a.csv").attrs["units"] == {"U": "MV", "P": "MW"}

@@ -104,7 +104,16 @@ def texts(frame: pd.DataFrame, dates: pd.Series) -> dict[str, tuple[str, str]]:
         "thousands of France in all columns": ("a.csv", table("t [ms];u [mV];i [mA];w\n", "{ms};{mu};{mi};{cw}")),
         "units in all cells, lines above": ("a.csv", table(FLUKE, "{t} s,{u} VDC,{i} A,{w} rad/s")),
         "nodes of SPICE": ("a.txt", table("time\tV(n001)\tI(L1)\tu\ti\tw\n", "{t}\t1.0\t2.0\t{u}\t{i}\t{w}")),
+        "table of PostgreSQL": (
+            "a.txt",
+            table(" time | u | i | w\n------+---+---+---\n", " {d:%Y-%m-%d %H:%M:%S.%f}+01 | {u} | {i} | {w}")
+            + "(120 rows)\n\n",
+        ),
+        "minus of typesetters": ("a.csv", table("time,u,i,w\n", "{t},{u},{i},{w}").replace("-", "\u2212")),
         # --- refused ---
+        "frames of a timecode": ("a.csv", table("time,u,i,w\n", "12:00:{n:02}:24,{u},{i},{w}")),
+        "factors in a row of units": ("a.csv", table("time,u,i,w\ns,V,A x 10,rad/s\n", "{t},{u},{i},{w}")),
+        "units in capitals": ("a.csv", table("TIME [S],U [V],I [MA],W [RAD/S]\n", "{t},{u},{i},{w}")),
         "a gain below the names": ("a.csv", table("time,u,i,w\ns,V,A,rad/s\nGain,0.1,0.1,1\n", "{t},{u},{i},{w}")),
         "a factor above": ("a.csv", table("Scale factor: u=10 V/V\ntime,u,i,w\n", "{t},{u},{i},{w}")),
         "thousands that read as decimals": ("a.csv", table("t [ms];u;i [mA];w\n", "{ms};{u};{whole};{w}")),

@@ -36,6 +36,7 @@ from fmuid.data.readers.text_rows import (
     with_row_numbers,
     without_blank_ends,
     without_cell_units,
+    without_rules,
 )
 from fmuid.data.readers.unpacking import opener
 from fmuid.errors import InputError
@@ -48,6 +49,8 @@ _END = 1 << 14
 _SEPARATORS = (",", ";", "\t", "|", SPACES)
 _SPREADSHEET = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
 """First bytes of .xlsx, .ods and .zip, and of .xls."""
+_MINUS = "\u2212"
+"""Sign of typesetters."""
 _TOO_MANY = re.compile(r"in line (?P<row>\d+), saw (?P<cells>\d+)")
 _OPEN_QUOTE = re.compile(r"inside string starting at row (?P<row>\d+)")
 """What pandas' parser says."""
@@ -142,10 +145,10 @@ def _with_head(
 def _as_utf8(opened: Callable[[], IO[bytes]], encoding: str, text: str) -> Callable[[], IO[bytes]]:
     """Return an opener of UTF-8 with line feeds."""
     bare = "\r\n" not in text and text.count("\r") > text.count("\n")  # line feeds may be in quoted headers
-    if encoding == "utf-8-sig" and not bare and "\ufeff" not in text:
+    if encoding == "utf-8-sig" and not bare and "\ufeff" not in text and _MINUS not in text:
         return opened
     with opened() as file:
-        whole = file.read().decode(encoding).replace("\ufeff", "")  # some loggers mark each line
+        whole = file.read().decode(encoding).replace("\ufeff", "").replace(_MINUS, "-")  # some loggers mark each line
     return partial(io.BytesIO, (whole.replace("\r", "\n") if bare else whole).encode())
 
 
@@ -215,7 +218,7 @@ def _best_layout(source: str, text: str, repair: Callable[[Rows, str], Rows]) ->
     best, most, seen = None, 0, list[list[str]]()
     for separator in _SEPARATORS:
         try:
-            read = list(islice(rows_of(io.StringIO(text), separator), 200))
+            read = without_rules(list(islice(rows_of(io.StringIO(text), separator), 200)))
         except csv.Error:  # no table with this separator
             continue
         read = repair([(line, plain_row(row, separator)) for line, row in read], text)

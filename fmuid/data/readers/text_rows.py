@@ -70,6 +70,17 @@ def _without_key(row: list[str]) -> list[str]:
 Rows = list[tuple[int, list[str]]]
 
 
+def without_rules(read: Rows) -> Rows:
+    """Return rows without lines such as ``----+----`` between header and samples."""
+    found: Rows = []
+    for line, row in read:
+        if found and _RULE.fullmatch(" ".join(row)):
+            found[-1] = line, found[-1][1]  # samples begin below it
+        else:
+            found.append((line, row))
+    return found
+
+
 def as_written(read: Rows, _text: str) -> Rows:
     """Return rows unchanged."""
     return read
