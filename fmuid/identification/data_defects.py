@@ -47,7 +47,7 @@ class DefectKind(Enum):
     SEVERAL = "several"  # stable steady states of a row at the estimates
     EVENT = "event"  # at the steady state of a row
     CONJUGATE = "conjugate"  # the imaginary part of a response has the reversed sign
-    SIGN = "sign"  # a response has the reversed sign
+    SIGN = "sign"  # a signal or a response has the reversed sign
     RADIANS = "radians"  # phases of a response are in radians
     LINE_VOLTAGE = "line_voltage"  # the voltage of a supply is that between lines
     PHASE_VOLTAGE = "phase_voltage"  # ... or that of a phase

@@ -1,4 +1,4 @@
-"""Conventions of readings: signs of responses, the unit of phases, and voltages between lines.
+"""Conventions of readings: signs, the unit of phases, and voltages between lines.
 
 What fits badly is fitted again with each other convention; the one with which it fits is named.
 """
@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.data import DEGREE, Experiment, FrequencyExperiment, Response, SteadyExperiment, response_of
@@ -25,7 +27,9 @@ Changed = Callable[[Sequence[Experiment]], LeastSquares]
 class ConventionSettings:
     """Limits of the comparison of conventions."""
 
-    poor: float = 80.0  # fit, %, below which other conventions are tried
+    poor: float = 80.0  # fit, %, below which other conventions are tried ...
+    poor_in_time: float = 50.0  # ... of records, whose noise may be as large
+    against: float = -0.5  # correlation of a record with its simulation from the initial guess: the sign is wrong
     better: float = 0.2  # largest relative error with another convention, over that of now
 
 
@@ -43,8 +47,14 @@ def find_conventions(
         return other, Marquardt().search(Evaluator(trial)).fit.simulated[number]
 
     for number, experiment in enumerate(experiments):
-        for subject, others in _conventions(experiment).items():
-            now = _least_fit(system, (experiment, result.fit.simulated[number]), subject)
+        pair = experiment, result.fit.simulated[number]
+        if experiment.kind == "time":
+            poor = _least_fit(system, pair, "") < SETTINGS.poor_in_time
+            conventions = _signs(experiment, _at_start(changed(experiments), number)) if poor else {}
+        else:
+            conventions = _conventions(experiment)
+        for subject, others in conventions.items():
+            now = _least_fit(system, pair, subject)
             best, found = -math.inf, ""
             for kind, other in others.items() if now < SETTINGS.poor else ():
                 try:
@@ -59,8 +69,29 @@ def find_conventions(
 def _least_fit(system: System, pair: tuple[Experiment, Floats], subject: str) -> float:
     """Return the least fit of a response, or of all outputs, %."""
     fit = fit_of(system, *pair)
-    own = (each for name, each in zip(fit.outputs, fit.fit, strict=True) if subject in (VOLTAGE, response_of(name)))
-    return min(filter(math.isfinite, own), default=100.0)
+    own = [each for name, each in zip(fit.outputs, fit.fit, strict=True) if response_of(name) == subject != ""]
+    return min(filter(math.isfinite, own or fit.fit), default=100.0)
+
+
+def _at_start(problem: LeastSquares, number: int) -> Floats:
+    """Return the outputs (K, n_y) of an experiment at the initial guesses; NaN if they cannot be simulated."""
+    columns = problem.parameters.for_experiment(number)[1]
+    return np.asarray(problem.predictors[number].many(problem.parameters.start[columns][None]).outputs[0])
+
+
+def _signs(experiment: Experiment, simulated: Floats) -> dict[str, dict[DefectKind, Experiment]]:
+    """Return the other sign of outputs against the simulation; where all are, of the input."""
+    if experiment.observation is not None:
+        return {}
+    measured = np.where(experiment.counted, experiment.output_values, np.nan)
+    off, back = (each - np.nanmean(each, axis=0) for each in (measured, simulated))
+    along = np.nansum(off * back, axis=0) / np.sqrt(np.nansum(off**2, axis=0) * np.nansum(back**2, axis=0))
+    names = [
+        name for name, each in zip(experiment.output_names, along.tolist(), strict=True) if each < SETTINGS.against
+    ]
+    if len(names) == len(experiment.output_names) and len(experiment.input_names) == 1:
+        names = list(experiment.input_names)
+    return {name: {DefectKind.SIGN: _reversed(experiment, name)} for name in names}
 
 
 def _conventions(experiment: Experiment) -> dict[str, dict[DefectKind, Experiment]]:
@@ -76,6 +107,11 @@ def _conventions(experiment: Experiment) -> dict[str, dict[DefectKind, Experimen
     inputs = {name: column for name, column in inputs.items() if name not in own.given}
     units = {name: unit for name, unit in experiment.units.items() if name not in own.given}
     return {VOLTAGE: {kind: replace(experiment, supply=supply, inputs=inputs, units=units)}}
+
+
+def _reversed(experiment: Experiment, name: str) -> Experiment:
+    column = experiment.columns[name]
+    return replace(experiment, frame=experiment.frame.assign(**{column: -experiment.frame[column]}))
 
 
 def _of_response(experiment: FrequencyExperiment, name: str) -> Iterator[tuple[DefectKind, FrequencyExperiment]]:

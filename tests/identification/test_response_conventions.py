@@ -1,17 +1,20 @@
-"""Conventions of responses: signs and units that the data show, and nothing where they are right."""
+"""Conventions of readings: signs and units that the data show, and nothing where they are right."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.linalg import expm
 
 import fmuid
 from fmuid.data import FrequencyExperiment, Response, RotatingFrame, SteadyExperiment
 from fmuid.estimation import Grade, Reason
 from fmuid.identification import DefectKind, find_data_defects, judge
+from tests.support.exported import export_text
 from tests.support.paths import FMUS
 from tests.support.resting import MACHINE, three_tests
 
@@ -83,3 +86,48 @@ def test_a_model_that_fits_by_no_convention_is_not_excused() -> None:
     problem = fmuid.Problem(COIL, experiment, FREE)
     result = fmuid.identify(problem)
     assert not [each for each in find_data_defects(problem, result) if each.kind.explains_misfit]
+
+
+MOTOR = """model Motor
+  parameter Real R = 1.7; parameter Real L = 0.011; parameter Real k = 0.35; parameter Real J = 6e-4;
+  input Real u; output Real i(start=0, fixed=true); output Real w(start=0, fixed=true);
+equation
+  L*der(i) = u - R*i - k*w;
+  J*der(w) = k*i - 1e-3*w;
+end Motor;"""
+
+
+@pytest.fixture(scope="module")
+def motor(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return export_text(tmp_path_factory.mktemp("motor"), MOTOR)
+
+
+@pytest.mark.parametrize(
+    "signal",
+    [
+        "i",
+        pytest.param("w", marks=pytest.mark.slow),
+        pytest.param(None, marks=pytest.mark.slow),
+        pytest.param("u", marks=pytest.mark.campaign),  # its search goes far, for minutes
+    ],
+)
+def test_a_signal_with_the_wrong_sign_is_named(motor: Path, signal: str | None) -> None:
+    """A DC motor by exact steps: a current that counts against its arrow is none that the motor takes."""
+    random, step = np.random.default_rng(4), 2e-3
+    voltage = np.repeat(random.uniform(-12.0, 12.0, 20), 25)
+    rates = np.array([[-1.2 / 8e-3, -0.25 / 8e-3, 1.0 / 8e-3], [0.25 / 4e-4, -1e-3 / 4e-4, 0.0], [0.0, 0.0, 0.0]])
+    ahead, states = expm(rates * step), np.zeros((len(voltage), 2))
+    for n in range(len(voltage) - 1):
+        states[n + 1] = ahead[:2, :2] @ states[n] + ahead[:2, 2] * voltage[n]
+    i, w = (states + [0.03, 0.3] * random.standard_normal(states.shape)).T
+    frame = pd.DataFrame({"time": step * np.arange(len(voltage)), "u": voltage, "i": i, "w": w})
+    if signal is not None:
+        frame[signal] *= -1.0
+    experiment = fmuid.Experiment(frame, ["u"], ["i", "w"], interpolation="zoh", name="motor")
+    starts = {"R": 1.7, "L": 0.011, "k": 0.35, "J": 6e-4}
+    problem = fmuid.Problem(motor, experiment, {name: fmuid.Parameter(each, min=0.0) for name, each in starts.items()})
+    result = fmuid.identify(problem)
+    found = [each for each in find_data_defects(problem, result) if each.kind.explains_misfit]
+    assert [(each.kind, each.output) for each in found] == ([] if signal is None else [(DefectKind.SIGN, signal)])
+    verdict = judge(result, fmuid.assess(problem, result))
+    assert (Reason.CONVENTION in verdict.reasons) is (signal is not None)

@@ -105,7 +105,7 @@ class DefectMessage(Message, section="residuals"):
     SIGN = doubt(
         "{output} has the wrong sign (fit {fit:.0f}% with the other)",
         "a current or voltage that counts against its arrow",
-        'Reverse the sign of the ratio `of`, as in "-u / i".',
+        'Write `computed_columns = { i = "-i" }`, or `of = "-u / i"` for a response.',
     )
     RADIANS = doubt(
         "phases of {output} are in radians (fit {fit:.0f}%)",

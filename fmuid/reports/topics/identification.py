@@ -81,7 +81,7 @@ def identification_document(found: IdentificationRun) -> Document:
 
 def _remedy(found: IdentificationRun, verdict: Verdict) -> str:
     """Return the best change, or the remedy of the gravest reason."""
-    explained = bool(verdict.doubts) and verdict.doubts[0].reason is Reason.CONVENTION
+    explained = Reason.CONVENTION in verdict.reasons
     if verdict.grade is Grade.NOT_USABLE and not explained:
         return ""
     return remedy_words(verdict) if explained or found.change is None else change_line(found.change)
@@ -90,7 +90,7 @@ def _remedy(found: IdentificationRun, verdict: Verdict) -> str:
 def _reason(result: Result, verdict: Verdict) -> str:
     """Return what follows the verdict in its line."""
     ended, how = state_and_reason(result)
-    if not result.converged:
+    if not result.converged and Reason.CONVENTION not in verdict.reasons:
         return f"{ended}: {how}"
     passed = "all other checks passed" if verdict.freed else f"converged {how}; all checks passed"
     return "; ".join(filter(None, (reason_words(verdict), "" if verdict.doubts else passed)))
