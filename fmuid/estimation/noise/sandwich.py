@@ -144,7 +144,7 @@ def sandwich(
         gram = _taken(parts, models, rows)
     if rows.columns is not rows.basis:
         gram = np.sum([part.take(part.models, rows.columns, part.innovations) for part in parts], axis=0)
-    inner = gram + rows.prior
+    inner = gram + rows.prior + _of_weights(rows, series)
     covariance = rows.root @ inner @ rows.root.T
     freedom = _freedom(rows, np.diag(covariance), series, parts, pools)
     noise = ResidualNoise(
@@ -218,6 +218,21 @@ def _joined(blocks: Sequence[tuple[Floats, Flags]], gap: int) -> tuple[Floats, F
         return blocks[0]
     columns = [np.pad(block, ((0, 0), (0, gap))) for block, _ in blocks]
     return np.concatenate(columns, axis=1), np.concatenate([np.pad(there, (0, gap)) for _, there in blocks])
+
+
+def _of_weights(rows: Rows, series: Sequence[OutputSeries]) -> Floats:
+    """Return what estimated variances of outputs add to QᵀΓQ, their weights in the fit.
+
+    Σ 4/ν (G − G²), G an output's part of QᵀQ (Kenward and Roger, Biometrics 53, 1997).
+    """
+    added = np.zeros((rows.columns.shape[1],) * 2)
+    outputs = _members([each.group for each in series])
+    for members in outputs if len(outputs) > 1 else ():
+        own = np.concatenate([series[i].rows for i in members])
+        if not (rows.given | rows.white)[series[members[0]].group]:
+            part = rows.columns[own].T @ rows.columns[own]
+            added += 4.0 / max(own.size - float(np.trace(part)), 1.0) * (part - part @ part)
+    return added
 
 
 def _freedom(
