@@ -263,7 +263,7 @@ def _with_parts(raw: RawTable, clock: _Clock) -> _Clock:
         return clock
     parts = raw.frame[found[0][0]].to_numpy(dtype=np.float64) * found[0][1]
     values = clock.seconds()
-    whole = not (values % 1.0).any() and (np.diff(values) == 0.0).any()
+    whole = bool(np.isfinite(values).all() and not (values % 1.0).any() and (np.diff(values) == 0.0).any())
     return replace(clock, values=values + parts) if whole and parts.min() >= 0.0 and parts.max() < 1.0 else clock
 
 
