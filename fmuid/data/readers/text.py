@@ -295,14 +295,12 @@ def _check_head(source: str, text: str) -> None:
 
 def _parsed(opened: Callable[[], IO[bytes]], layout: _Layout, names: list[str], *, fast: bool) -> pd.DataFrame:
     """Return the rows as pandas reads them; `fast` in parts, without spaces."""
-    with opened() as file, warnings.catch_warnings():
-        warnings.simplefilter("ignore", pd.errors.DtypeWarning)
-        warnings.simplefilter("error", pd.errors.ParserWarning)  # more cells than names in the first row
-        for _ in range(layout.line):
-            file.readline()
+
+    def read(source: IO[bytes] | str, above: int) -> pd.DataFrame:
         frame: pd.DataFrame = pd.read_csv(
-            file,
+            source,
             header=None,
+            skiprows=above,
             names=[*names, *(f"\0{k}" for k in range(layout.width - len(names)))],
             index_col=False,
             sep=layout.separator,
@@ -312,6 +310,16 @@ def _parsed(opened: Callable[[], IO[bytes]], layout: _Layout, names: list[str], 
             low_memory=fast,
         )[names]
         return frame
+
+    with opened() as file, warnings.catch_warnings():
+        warnings.simplefilter("ignore", pd.errors.DtypeWarning)
+        warnings.simplefilter("error", pd.errors.ParserWarning)  # more cells than names in the first row
+        above = [file.readline() for _ in range(layout.line)]
+        odd = any(b'"' in line or b"\r" in line.removesuffix(b"\r\n") for line in above)  # pandas counts them otherwise
+        if isinstance(file, io.BufferedReader) and above and not odd:
+            with suppress(pd.errors.ParserError, pd.errors.ParserWarning):  # its rows are named below
+                return read(file.name, layout.line)  # in half the time
+        return read(file, 0)
 
 
 def _samples(opened: Callable[[], IO[bytes]], source: str, layout: _Layout, names: list[str]) -> pd.DataFrame:

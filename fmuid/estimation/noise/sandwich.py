@@ -221,7 +221,7 @@ def _joined(blocks: Sequence[tuple[Floats, Flags]], gap: int) -> tuple[Floats, F
 
 
 def _of_weights(rows: Rows, series: Sequence[OutputSeries]) -> Floats:
-    """Return what estimated variances of outputs add to QᵀΓQ, their weights in the fit.
+    """Return what the estimated weights of outputs add to QᵀΓQ.
 
     Σ 4/ν (G − G²), G an output's part of QᵀQ (Kenward and Roger, Biometrics 53, 1997).
     """
