@@ -51,7 +51,7 @@ class AugmentedProblem:
         simulated = problem.measured - self.levels * left
         left = left - basis @ (basis.T @ left)
         white = np.zeros(len(given), np.bool_)
-        rows = Rows(left, basis, self.design @ self.root, self.root, own.T @ own, given, white)
+        rows = Rows(left, basis, self.design @ self.root, self.root, own.T @ own, given, white, problem.levels.pools)
         return sandwich_of_rows(problem, rows, simulated)
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft
 
-from fmuid.array_types import Complexes, Flags, Floats
+from fmuid.array_types import Complexes, Flags, Floats, Indices
 from fmuid.estimation.noise.autoregression import Autoregression
 from fmuid.estimation.noise.low_frequency import line_counts
 from fmuid.estimation.noise.output_series import OutputSeries
@@ -28,6 +28,7 @@ class Rows:
     prior: Floats  # (k, k), (WR)ᵀ WR
     given: Flags  # (n_outputs,), noise of variance 1, as given
     white: Flags  # (n_outputs,), nothing but rounding: white, of variance 1
+    shared: tuple[Indices, ...] = ()  # outputs with one variance
 
 
 @dataclass(frozen=True, eq=False)

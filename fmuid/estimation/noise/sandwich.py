@@ -87,7 +87,7 @@ def sandwich_of(
     if len(own):
         basis = local.data_basis
         residual = residual - basis @ (basis.T @ residual)
-    rows = Rows(residual, basis, columns, root, own.T @ own, given, rounding)
+    rows = Rows(residual, basis, columns, root, own.T @ own, given, rounding, problem.levels.pools)
     found = sandwich_of_rows(problem, rows, problem.measured - local.levels * local.residual if uneven else None)
     lost = ~np.isfinite(np.diag(local.combined.covariance))
     covariance = found.covariance.copy()
@@ -223,10 +223,11 @@ def _joined(blocks: Sequence[tuple[Floats, Flags]], gap: int) -> tuple[Floats, F
 def _of_weights(rows: Rows, series: Sequence[OutputSeries]) -> Floats:
     """Return what the estimated weights of outputs add to QᵀΓQ.
 
-    Σ 4/ν (G − G²), G an output's part of QᵀQ (Kenward and Roger, Biometrics 53, 1997).
+    Σ 4/ν (G − G²), G the part of QᵀQ with one variance (Kenward and Roger, Biometrics 53, 1997).
     """
     added = np.zeros((rows.columns.shape[1],) * 2)
-    outputs = _members([each.group for each in series])
+    first = {j: int(pool[0]) for pool in rows.shared for j in pool.tolist()}
+    outputs = _members([first.get(each.group, each.group) for each in series])
     for members in outputs if len(outputs) > 1 else ():
         own = np.concatenate([series[i].rows for i in members])
         if not (rows.given | rows.white)[series[members[0]].group]:
