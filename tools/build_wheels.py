@@ -46,7 +46,7 @@ def check_sources(archive: Path) -> None:
     """Raise ValueError unless a source archive has all that the core is compiled from, and nothing compiled."""
     with tarfile.open(archive) as opened:
         names = {Path(name).name for name in opened.getnames() if f"/{NATIVE.as_posix()}/" in name}
-    wanted = {path.name for path in (ROOT / NATIVE).iterdir() if path.suffix in (".c", ".h", ".py")}
+    wanted = {path.name for path in (ROOT / NATIVE).iterdir() if path.suffix in (".c", ".h", ".md", ".py")}
     if names != wanted:
         raise ValueError(f"{archive}: {sorted(names ^ wanted)}")
 
