@@ -83,15 +83,18 @@ def _signs(experiment: Experiment, simulated: Floats) -> dict[str, dict[DefectKi
     """Return the other sign of outputs against the simulation; where all are, of the input."""
     if experiment.observation is not None:
         return {}
-    measured = np.where(experiment.counted, experiment.output_values, np.nan)
-    off, back = (each - np.nanmean(each, axis=0) for each in (measured, simulated))
-    along = np.nansum(off * back, axis=0) / np.sqrt(np.nansum(off**2, axis=0) * np.nansum(back**2, axis=0))
-    names = [
-        name for name, each in zip(experiment.output_names, along.tolist(), strict=True) if each < SETTINGS.against
-    ]
-    if len(names) == len(experiment.output_names) and len(experiment.input_names) == 1:
+    pairs = zip(experiment.output_values.T, simulated.T, experiment.counted.T, strict=True)
+    against = [bool(own.any()) and _are_opposite(measured[own], outputs[own]) for measured, outputs, own in pairs]
+    names = [name for name, each in zip(experiment.output_names, against, strict=True) if each]
+    if all(against) and len(experiment.input_names) == 1:
         names = list(experiment.input_names)
     return {name: {DefectKind.SIGN: _reversed(experiment, name)} for name in names}
+
+
+def _are_opposite(measured: Floats, simulated: Floats) -> bool:
+    """Return True if the correlation of two signals is negative enough; constants and NaN have none."""
+    off, back = measured - measured.mean(), simulated - simulated.mean()
+    return float(off @ back) < SETTINGS.against * float(np.linalg.norm(off) * np.linalg.norm(back))
 
 
 def _conventions(experiment: Experiment) -> dict[str, dict[DefectKind, Experiment]]:

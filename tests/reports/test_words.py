@@ -302,12 +302,12 @@ def test_cross_validation_verdict() -> None:
 
 
 def test_errors_that_no_data_show_stand_together_the_graver_first() -> None:
-    def test_of(kind: ErrorKind, subject: str, shift: float, detectable: float) -> DirectedTest:
+    def directed(kind: ErrorKind, subject: str, shift: float, detectable: float) -> DirectedTest:
         direction = Direction(kind, (subject,), "", 0.01)
         return DirectedTest(direction, 0.5, 0.0, 1.0, 0.0, 0.01, detectable, np.array([shift, 10.0]))
 
-    gains = [test_of(ErrorKind.GAIN, name, shift, math.inf) for name, shift in (("i", 1400.0), ("w", 2800.0))]
-    shows = test_of(ErrorKind.INPUT_GAIN, "u", 2000.0, 0.03)
+    gains = [directed(ErrorKind.GAIN, name, shift, math.inf) for name, shift in (("i", 1400.0), ("w", 2800.0))]
+    shows = directed(ErrorKind.INPUT_GAIN, "u", 2000.0, 0.03)
     both = "Not testable: gain of w (1 % moves R by 28 σ), gain of i (1 % moves R by 14 σ)."
     could = "Could hide: input gain of u of 1 % moves R by {} σ; shows from 3 %."
     said = hidden_remarks(ModelErrors(("R", "L"), (*gains, shows)))
