@@ -180,7 +180,7 @@ def _without_marks(column: pd.Series[Any], marks: Sequence[str | float]) -> pd.S
     if pd.api.types.is_float_dtype(kind) or (marks and pd.api.types.is_integer_dtype(kind)):
         numbers = [each for each in marks if isinstance(each, int | float)]
         found = column.isin(numbers) if numbers else None
-        if pd.api.types.is_float_dtype(kind) and max(column.max(), -column.min()) > min(OVERLOADS) / 2:
+        if pd.api.types.is_float_dtype(kind) and _largest(column) > min(OVERLOADS) / 2:
             beyond = np.isclose(column.abs().to_numpy()[:, None], OVERLOADS, rtol=1e-6).any(axis=1)
             found = beyond if found is None else found | beyond
         return column if found is None or not found.any() else column.mask(found).astype(np.float64)
@@ -194,10 +194,16 @@ def _without_marks(column: pd.Series[Any], marks: Sequence[str | float]) -> pd.S
     return column
 
 
+def _largest(column: pd.Series[Any]) -> float:
+    """Return the largest absolute value of a column of real numbers; -inf if there is none."""
+    values = column.to_numpy(dtype=np.float64, na_value=np.nan)
+    return float(max(np.fmax.reduce(values, initial=-np.inf), -np.fmin.reduce(values, initial=np.inf)))
+
+
 def _without_events(frame: pd.DataFrame, time: str) -> pd.DataFrame:
     """Return a frame without last rows of text alone, a logger's events."""
     others = frame.drop(columns=time, errors="ignore")
-    measured, texts = (others[[name for name in others if others[name].dtype.kind in kind]] for kind in ("f", "OTU"))
+    measured, texts = (others[[name for name in others if others[name].dtype.kind in kind]] for kind in ("f", "MOTU"))
     if texts.empty:
         return frame
     is_event = (measured.isna().all(axis="columns") & texts.notna().any(axis="columns")).to_numpy()

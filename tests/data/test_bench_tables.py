@@ -152,3 +152,39 @@ def test_units_in_capitals_are_either(tmp_path: Path) -> None:
     assert read_data(tmp_path / "a.csv").attrs["units"] == {"U": "MV or mV", "P": "MW"}
     (tmp_path / "a.csv").write_text("time [s],U [MV],P [MW]\n0,1,2\n1,3,4\n")
     assert read_data(tmp_path / "a.csv").attrs["units"] == {"U": "MV", "P": "MW"}
+
+
+@pytest.mark.parametrize("separator", [",", " "])
+def test_gaps_at_the_end_of_long_tables(tmp_path: Path, separator: str) -> None:
+    """Missing last cells that are written are gaps; a row that lacks its cell is refused."""
+    rows = [f"{k}{separator}{0.5 * k}{separator}{'NaN' if k % 7 == 3 else 1}" for k in range(60_000)]
+    (tmp_path / "a.txt").write_text("\n".join([separator.join(("time", "u", "i")), *rows]))
+    frame = read_data(tmp_path / "a.txt")
+    np.testing.assert_array_equal(frame["i"].isna(), np.arange(60_000) % 7 == 3)
+    rows[50_000] = rows[50_000].rpartition(separator)[0]
+    (tmp_path / "a.txt").write_text("\n".join([separator.join(("time", "u", "i")), *rows]))
+    with pytest.raises(InputError, match="3 names in the header, 2 cells in row 50001"):
+        read_data(tmp_path / "a.txt")
+
+
+def test_long_texts_in_wide_characters(tmp_path: Path) -> None:
+    """Characters of four bytes and signs of typesetters may stand anywhere in UTF-16."""
+    rows = "".join(f"{k}\t\u2212{k}\t\U0001d6fa{'x' * (k % 3)}\n" for k in range(30_000))
+    (tmp_path / "a.txt").write_text("time\tu [µA]\tmark\n" + rows, encoding="utf-16")
+    frame = read_data(tmp_path / "a.txt")
+    np.testing.assert_array_equal(frame["u"], -np.arange(30_000.0))
+    assert [*frame["mark"]] == [f"\U0001d6fa{'x' * (k % 3)}" for k in range(30_000)]
+
+
+@pytest.mark.parametrize(
+    ("dates", "seconds"),
+    [
+        (("2026-01-01 00:00:00", "", "2026-01-01 00:00:02.25"), (0.0, np.nan, 2.25)),
+        (("2026-03-29T01:00:00+01:00", "2026-03-29T03:00:00+02:00"), (0.0, 3600.0)),
+        (("2026-01-01T23:59:59", "2026-01-01T24:00:00"), (0.0, 1.0)),
+        (("2026-01-01T00:00:00Z", "2026-01-01T00:00:01Z"), (0.0, 1.0)),
+    ],
+)
+def test_dates_of_iso_8601(tmp_path: Path, dates: tuple[str, ...], seconds: tuple[float, ...]) -> None:
+    (tmp_path / "a.csv").write_text("time;u\n" + "".join(f"{date};{k}\n" for k, date in enumerate(dates)))
+    np.testing.assert_array_equal(read_data(tmp_path / "a.csv")["time"], seconds)

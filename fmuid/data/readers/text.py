@@ -9,9 +9,8 @@ import re
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import partial
-from itertools import dropwhile, islice
+from itertools import dropwhile
 from pathlib import Path
 from typing import IO, Any
 
@@ -19,25 +18,13 @@ import numpy as np
 import pandas as pd
 
 from fmuid.data.cells import NO_SAMPLE, is_missing, is_number, may_be_number, numbers_of
-from fmuid.data.headers import RawTable, TableHeader, check_once, check_units, find_head, is_unit, named, with_columns
+from fmuid.data.headers import RawTable, check_once, is_unit, named, with_columns
 from fmuid.data.readers.cell_units import without_units
 from fmuid.data.readers.encodings import decoded
 from fmuid.data.readers.instruments import head_of, rewriter_of
-from fmuid.data.readers.row_checks import check_rows
 from fmuid.data.readers.sidecars import rewriter_beside
-from fmuid.data.readers.text_rows import (
-    SPACES,
-    Rows,
-    as_written,
-    is_text_row,
-    plain_row,
-    rows_of,
-    with_listed_names,
-    with_row_numbers,
-    without_blank_ends,
-    without_cell_units,
-    without_rules,
-)
+from fmuid.data.readers.text_layout import TextLayout, count_of_cells, layout_of
+from fmuid.data.readers.text_rows import SPACES, is_text_row, rows_of
 from fmuid.data.readers.unpacking import opener
 from fmuid.errors import InputError
 from fmuid.formatting import bounded
@@ -46,7 +33,6 @@ _LOOKED_AT = 1 << 18
 """Bytes that are looked at to find separator and head."""
 _END = 1 << 14
 """Bytes in which lines after the samples are looked for."""
-_SEPARATORS = (",", ";", "\t", "|", SPACES)
 _SPREADSHEET = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
 """First bytes of .xlsx, .ods and .zip, and of .xls."""
 _MINUS = "\u2212"
@@ -54,26 +40,7 @@ _MINUS = "\u2212"
 _TOO_MANY = re.compile(r"in line (?P<row>\d+), saw (?P<cells>\d+)")
 _OPEN_QUOTE = re.compile(r"inside string starting at row (?P<row>\d+)")
 """What pandas' parser says."""
-_REPAIRS: tuple[Callable[[Rows, str], Rows], ...] = (
-    as_written,
-    with_row_numbers,
-    with_listed_names,
-    without_cell_units,
-)
-"""How rows are read: as they are, else with what writers leave out or add."""
 _MARKS = sorted({form for mark in NO_SAMPLE if "inf" not in mark for form in (mark, mark.upper(), mark.title())})
-
-
-@dataclass(frozen=True)
-class _Layout:
-    """Separators, header with its last line, and cells per row; `fast` without spaces after separators."""
-
-    separator: str
-    decimal: str
-    head: TableHeader
-    line: int
-    width: int
-    fast: bool = False
 
 
 def read_text(path: Path, source: str) -> RawTable:
@@ -104,7 +71,7 @@ def read_text(path: Path, source: str) -> RawTable:
             with again() as file:
                 first = file.read(_LOOKED_AT)
             shown = codecs.getincrementaldecoder("utf-8-sig")().decode(first, final=len(first) < _LOOKED_AT)
-            layout = _layout(source, shown if short else shown[: shown.rfind("\n") + 1] or shown)
+            layout = layout_of(source, shown if short else shown[: shown.rfind("\n") + 1] or shown)
             names, said = named(layout.head.names, layout.head.units)
             check_once(source, names)
             frame = _samples(_without_end(again, layout), source, layout, names)
@@ -147,9 +114,13 @@ def _as_utf8(opened: Callable[[], IO[bytes]], encoding: str, text: str) -> Calla
     bare = "\r\n" not in text and text.count("\r") > text.count("\n")  # line feeds may be in quoted headers
     if encoding == "utf-8-sig" and not bare and "\ufeff" not in text and _MINUS not in text:
         return opened
+    decoder, found = codecs.getincrementaldecoder(encoding)(), io.BytesIO()
     with opened() as file:
-        whole = file.read().decode(encoding).replace("\ufeff", "").replace(_MINUS, "-")  # some loggers mark each line
-    return partial(io.BytesIO, (whole.replace("\r", "\n") if bare else whole).encode())
+        while part := file.read(_LOOKED_AT):  # in parts that stay in the cache
+            piece = decoder.decode(part).replace("\ufeff", "").replace(_MINUS, "-")  # some loggers mark each line
+            found.write((piece.replace("\r", "\n") if bare else piece).encode())
+    found.write(decoder.decode(b"", final=True).encode())
+    return partial(io.BytesIO, found.getvalue())
 
 
 def first_lines(path: Path, count: int) -> list[str]:
@@ -169,14 +140,14 @@ def head_length(start: bytes, source: str) -> int:
         If it is no table, or has no row of samples yet.
     """
     text = next((text for _, text in decoded(start, whole=True)), "")
-    layout = _layout(source, text)
+    layout = layout_of(source, text)
     lines = start.splitlines(keepends=True)
     if not b"".join(lines[layout.line :]).strip():
         raise InputError(f"{source}: no samples below the header. Give measured samples.")
     return len(b"".join(lines[: layout.line]))
 
 
-def _without_end(opened: Callable[[], IO[bytes]], layout: _Layout) -> Callable[[], IO[bytes]]:
+def _without_end(opened: Callable[[], IO[bytes]], layout: TextLayout) -> Callable[[], IO[bytes]]:
     """Return an opener without the lines after the samples."""
     with opened() as file:
         size = file.seek(0, io.SEEK_END)
@@ -191,7 +162,7 @@ def _without_end(opened: Callable[[], IO[bytes]], layout: _Layout) -> Callable[[
         return partial(io.BytesIO, file.read(end))
 
 
-def _says_nothing(line: str, layout: _Layout) -> bool:
+def _says_nothing(line: str, layout: TextLayout) -> bool:
     """Return whether a line has no sample and is no cut row."""
     row = next((row for _, row in rows_of(iter([line]), layout.separator)), [""])
     if all(map(is_missing, row)):
@@ -200,100 +171,7 @@ def _says_nothing(line: str, layout: _Layout) -> bool:
     return len(row) < layout.width and not numeric and not line.lstrip("\"'+- ")[:1].isdigit()
 
 
-def _layout(source: str, text: str) -> _Layout:
-    """Return the layout with the most numeric columns."""
-    best, most = None, 0
-    for repair in _REPAIRS:
-        if most > 1:
-            break
-        columns, found = _best_layout(source, text, repair)
-        best, most = (found, columns) if columns > most else (best, most)
-    best = best or _as_it_is(source, text)
-    check_units(best.head, source)
-    return best
-
-
-def _best_layout(source: str, text: str, repair: Callable[[Rows, str], Rows]) -> tuple[int, _Layout | None]:
-    """Return the most numeric columns of repaired rows and their layout."""
-    best, most, seen = None, 0, list[list[str]]()
-    for separator in _SEPARATORS:
-        try:
-            read = without_rules(list(islice(rows_of(io.StringIO(text), separator), 200)))
-        except csv.Error:  # no table with this separator
-            continue
-        read = repair([(line, plain_row(row, separator)) for line, row in read], text)
-        rows, blank = without_blank_ends([row for _, row in read])
-        for decimal in (".", ","):
-            head = find_head(rows, decimal)
-            if head is None or (len(head.names) == 1 and decimal == ",") or _is_numbers(head.names):
-                continue  # "0,1" alone may as well be two cells
-            columns = _numeric_columns(rows[head.first :], len(head.names), decimal)
-            if columns > most:
-                width = len(head.names) + blank
-                fast = separator != SPACES and f"{separator} " not in text
-                most, seen = columns, rows
-                best = _Layout(separator, decimal, head, read[head.first - 1][0], width, fast)
-    if best is not None:
-        check_rows(seen, best.head, best.decimal, source)
-    return most, best
-
-
-def _numeric_columns(rows: Sequence[Sequence[str]], names: int, decimal: str) -> int:
-    """Return the number of numeric columns of the first block of rows."""
-    regular = [row for row in rows if len(row) == names]
-    regular = regular[: next((k for k, row in enumerate(regular) if is_text_row(row, decimal)), None)]
-    columns = list(zip(*regular, strict=True))
-    return sum(
-        any(may_be_number(cell, decimal) for cell in column)
-        and all(may_be_number(cell, decimal) or is_missing(cell) for cell in column)
-        for column in columns
-    )
-
-
-def _as_it_is(source: str, text: str) -> _Layout:
-    """Return a comma-separated layout with the first line as header, or refuse."""
-    try:
-        read = list(rows_of(io.StringIO(text), ","))
-    except csv.Error:  # its sentences are for programmers
-        said = "no text table, or lines end in carriage returns"
-        raise InputError(f"{source}: {said}. End them in line feeds.") from None
-    if not read or not any(cell.strip() for cell in read[0][1]):
-        raise InputError(f"{source}: empty. Give a header with names, and rows of samples.")
-    _check_head(source, text)
-    rows = [row for _, row in read]
-    header = tuple(cell.strip() for cell in rows[0])
-    if _is_numbers(header) or is_number(header[0], ","):
-        raise InputError(f"{source}: no header. Write the names of the columns into the first line.")
-    alone = (
-        len(header) == 1 and len(rows) > 3 and not any(is_number(row[0]) or is_missing(row[0]) for row in rows[1:20])
-    )
-    if alone or len({len(row) for row in rows[:20]}) > 2:
-        raise InputError(f"{source}: no table. Save it as CSV: names in the first line, then one row per sample.")
-    if len(rows) > 1 and len(rows[1]) != len(header):
-        said = f"{len(header)} names in the header, {_cells(len(rows[1]))} in row 1"
-        line = len(rows) > 2 and len(rows[2]) == len(header)
-        remedy = "Remove this row" if line else 'Quote names with commas ("x[1,2]")'
-        raise InputError(f"{source}: {said}. {remedy}.")
-    return _Layout(",", ".", TableHeader(header, (), 1), read[0][0], len(header))
-
-
-def _is_numbers(header: Sequence[str]) -> bool:
-    return all(is_number(part) for name in header for part in name.split()) and any(header)
-
-
-def _check_head(source: str, text: str) -> None:
-    """Refuse rows of numbers below lines that are no header."""
-    for separator in _SEPARATORS:
-        with suppress(csv.Error):
-            read = list(islice(rows_of(io.StringIO(text), separator), 200))
-            cells = [len(row) if all(map(is_number, row)) else 0 for _, row in read]
-            for k in range(1, len(read) - 2):
-                if cells[k] > 1 and len(read[k - 1][1]) != cells[k] == cells[k + 1] == cells[k + 2]:
-                    said = f"no header above the {cells[k]} numbers of line {read[k][0]}"
-                    raise InputError(f"{source}: {said}. Insert a line with their names.")
-
-
-def _parsed(opened: Callable[[], IO[bytes]], layout: _Layout, names: list[str], *, fast: bool) -> pd.DataFrame:
+def _parsed(opened: Callable[[], IO[bytes]], layout: TextLayout, names: list[str], *, fast: bool) -> pd.DataFrame:
     """Return the rows as pandas reads them; `fast` in parts, without spaces."""
 
     def read(source: IO[bytes] | str, above: int) -> pd.DataFrame:
@@ -308,6 +186,8 @@ def _parsed(opened: Callable[[], IO[bytes]], layout: _Layout, names: list[str], 
             na_values=_MARKS,
             skipinitialspace=not fast,
             low_memory=fast,
+            parse_dates=[names[k] for k in layout.dates] if fast else False,
+            date_format="ISO8601",
         )[names]
         return frame
 
@@ -322,7 +202,7 @@ def _parsed(opened: Callable[[], IO[bytes]], layout: _Layout, names: list[str], 
         return read(file, 0)
 
 
-def _samples(opened: Callable[[], IO[bytes]], source: str, layout: _Layout, names: list[str]) -> pd.DataFrame:
+def _samples(opened: Callable[[], IO[bytes]], source: str, layout: TextLayout, names: list[str]) -> pd.DataFrame:
     try:
         frame = _parsed(opened, layout, names, fast=layout.fast)
         if layout.fast and any(map(pd.api.types.is_object_dtype, frame.dtypes)):  # numbers here, texts there
@@ -348,7 +228,7 @@ def _samples(opened: Callable[[], IO[bytes]], source: str, layout: _Layout, name
     return frame
 
 
-def _check_block(opened: Callable[[], IO[bytes]], layout: _Layout, source: str) -> None:
+def _check_block(opened: Callable[[], IO[bytes]], layout: TextLayout, source: str) -> None:
     """Refuse lines of text among the samples, as between two tables."""
     with io.TextIOWrapper(opened(), "utf-8-sig", newline="") as text, suppress(csv.Error):
         rows = ((line, row) for line, row in rows_of(text, layout.separator) if line > layout.line)
@@ -361,26 +241,33 @@ def _check_block(opened: Callable[[], IO[bytes]], layout: _Layout, source: str) 
         raise InputError(f"{source}: {said}. Remove it, or keep one table in a file.")
 
 
-def _are_even(opened: Callable[[], IO[bytes]], layout: _Layout, rows: int, *, remark: bool) -> bool:
-    """Return whether rows without quotes have all separators; with a remark, the first alone has the last one.
+def _are_even(opened: Callable[[], IO[bytes]], layout: TextLayout, rows: int, *, remark: bool) -> bool:
+    """Return whether rows without quotes have all cells; with a remark, the first alone has the last one.
 
     None has more, or pandas would refuse it.
     """
-    found, mark = 0, layout.separator.encode()
+    found, blank = 0, np.ones(1, bool)
+    spaces = layout.separator == SPACES
     with opened() as file:
         for _ in range(layout.line):
             file.readline()
         while part := file.read(_LOOKED_AT):
             if b'"' in part:
                 return False
-            found += part.count(mark)
-    return found == rows * (layout.width - 1) or (remark and found == rows * (layout.width - 2) + 1)
+            codes = np.frombuffer(part, np.uint8)
+            if spaces:
+                blank = np.concatenate([blank[-1:], (codes <= 32)])
+                found += int(np.count_nonzero(blank[:-1] & ~blank[1:]))
+            else:
+                found += int(np.count_nonzero(codes == ord(layout.separator)))
+    found += 0 if spaces else rows
+    return found == rows * layout.width or (remark and found == rows * (layout.width - 1) + 1)
 
 
 def _of_parser(error: str, width: int) -> str:
     """Return what pandas' parser found, in our words."""
     if found := _TOO_MANY.search(error):
-        said = f"{width} names in the header, {_cells(int(found['cells']))} in row {found['row']}"
+        said = f"{width} names in the header, {count_of_cells(int(found['cells']))} in row {found['row']}"
         return f"{said}. Give all rows as many cells as the header."
     if found := _OPEN_QUOTE.search(error):
         return f"a quotation mark in row {int(found['row']) + 1} is not closed. Close or remove it."
@@ -411,9 +298,5 @@ def _check_rows(rows: Iterator[list[str]], source: str, names: int, first: int) 
     """Refuse rows with too few cells, which pandas would fill."""
     for number, row in enumerate(rows, start=1 - first):
         if number > 0 and len(row) < names:
-            said = f"{names} names in the header, {_cells(len(row))} in row {number}"
+            said = f"{names} names in the header, {count_of_cells(len(row))} in row {number}"
             raise InputError(f"{source}: {said}. Leave missing cells empty.")
-
-
-def _cells(count: int) -> str:
-    return f"{count} cell{'s' * (count != 1)}"
