@@ -4,6 +4,7 @@
 
 import os
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,9 @@ from tests.support.quick import draw_nothing
 
 # readline, which pytest imports, exports the width of the terminal to all processes of a test.
 os.environ.pop("COLUMNS", None)
+# Commands that tests start would compile all that they import, every time.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 # Shells start background jobs with Ctrl-C ignored, which the processes of these tests would inherit.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)

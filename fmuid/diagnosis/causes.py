@@ -16,7 +16,7 @@ import numpy as np
 from annotated_types import Gt
 
 from fmuid.array_types import Flags, Floats
-from fmuid.data import LINES, Experiment, Parameter
+from fmuid.data import LINES, Experiment, Parameter, usual_step
 from fmuid.diagnosis.faults import VARIANT, Fault
 from fmuid.errors import InputError
 from fmuid.models import System
@@ -313,7 +313,7 @@ def _of_faults(faults: Mapping[str, Fault]) -> Iterator[_Coordinate]:
 def _of_sensors(
     system: System, experiment: Experiment, noise: Mapping[str, float], causes: Causes
 ) -> Iterator[_Coordinate]:
-    step = float(np.median(np.diff(experiment.times))) or 1.0
+    step = usual_step(experiment.times) or 1.0
     for output in experiment.output_names:
         unit = system.unit(output) or "" if "+" not in output else ""
         for kind, width, scale, its_unit in (

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from fmuid.array_types import Flags, Floats
-from fmuid.data import Experiment
+from fmuid.data import Experiment, usual_step
 from fmuid.diagnosis.alarms import RecordTime
 from fmuid.diagnosis.baseline_comparator import BaselineComparator
 from fmuid.diagnosis.information_matrix import InformationMatrix, Whitening
@@ -88,7 +88,7 @@ class SkippedWindow:
 def split_windows(record: Experiment, window: float | None, transient: float, begun: WatchedRecord) -> list[Window]:
     """Return the whole windows (length `window`, s; None: the record) of a record from `begun` on."""
     times = record.times
-    step = float(np.median(np.diff(times)))
+    step = usual_step(times)
     slack, last = SETTINGS.step_tolerance * step, float(times[-1]) + step
     counted = record.counted & (times >= begun.counts)[:, None]
     before = np.vstack([np.zeros(counted.shape[1]), np.cumsum(counted, axis=0)])
@@ -197,7 +197,7 @@ def build_up_of(
     def built(slow: Flags) -> ChangeTransient:
         return ChangeTransient.of(states, seen[:, :, slow].reshape(len(seen), -1), step)
 
-    step = float(np.median(np.diff(whole.times)))
+    step = usual_step(whole.times)
     first = 1 + round(built(slow).lasts / step)
     differs = np.mean([each[:first].sum(axis=(0, 1)) for each in late], axis=0)
     # a column that never depends on the start shows at once

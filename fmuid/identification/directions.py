@@ -17,7 +17,7 @@ from fmuid.array_types import Floats
 from fmuid.estimation import LeastSquares, Result
 from fmuid.identification.line_directions import is_estimated, line_errors
 from fmuid.identification.linearized_record import LinearizedRecord, StateForcing, both_ends
-from fmuid.identification.model_errors import CHANGING, SENSOR_ERRORS, Direction, ErrorKind, Sizes
+from fmuid.identification.model_errors import CHANGING, SENSOR_ERRORS, Direction, ErrorKey, ErrorKind, Sizes
 from fmuid.identification.output_directions import (
     SETTINGS,
     fixed_columns,
@@ -42,7 +42,7 @@ def model_directions(
     theta, simulated = result.values, result.fit.simulated
     levels = local.levels
     jacobian = -local.jacobian * levels[:, None]
-    found: dict[tuple[ErrorKind, tuple[str, ...]], dict[int, Direction]] = {}
+    found: dict[ErrorKey, dict[int, Direction]] = {}
     slopes = [problem.tables(problem.unscaled(column)) for column in jacobian.T]
     for index, simulator in enumerate(simulators):
         columns = problem.parameters.for_experiment(index)[1]
@@ -83,12 +83,12 @@ def _over(
 
 def changes_by(
     sizes: Sizes, simulator: AnySimulator, theta: Floats, simulated: Floats, slopes: Floats
-) -> dict[tuple[ErrorKind, tuple[str, ...]], Floats]:
+) -> dict[ErrorKey, Floats]:
     """Return what a unit of each error adds to outputs (K, n_y).
 
     Slopes (N, K, n_y) are by theta. Sensors read the machine with its own errors.
     """
-    found, machine = dict[tuple[ErrorKind, tuple[str, ...]], Floats](), simulated
+    found, machine = dict[ErrorKey, Floats](), simulated
     for _ in range(1 if all(kind in SENSOR_ERRORS for kind, _ in sizes) else 2):
         every = _over(simulator, theta, machine, slopes, 1, sizes)
         found = {each.key: each.column for each in every if each.key in sizes}

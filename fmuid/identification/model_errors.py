@@ -121,7 +121,8 @@ RARE = frozenset({ErrorKind.CLOCK, ErrorKind.ZERO_DRIFT, ErrorKind.NONLINEARITY,
 """Errors that are thought of where usual ones explain less."""
 
 
-Sizes = Mapping[tuple[ErrorKind, tuple[str, ...]], float]  # sizes of errors by kind and subject
+ErrorKey = tuple[ErrorKind, tuple[str, ...]]  # kind and subject
+Sizes = Mapping[ErrorKey, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +157,7 @@ class Direction:
     json_layout: ClassVar = Layout(omitted={"column"})
 
     @property
-    def key(self) -> tuple[ErrorKind, tuple[str, ...]]:
+    def key(self) -> ErrorKey:
         """Kind and subject, which no other direction of a problem has."""
         return self.kind, self.subject
 

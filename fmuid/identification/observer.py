@@ -13,6 +13,7 @@ import numpy as np
 import scipy
 
 from fmuid.array_types import Floats
+from fmuid.data import usual_step
 from fmuid.errors import InputError
 from fmuid.identification.problem import Problem
 from fmuid.simulation import RightHandSide, Simulator
@@ -43,8 +44,7 @@ def _observed(problem: Problem, index: int, samples: float) -> Simulator:
     if len(simulator.output_names) != 1:
         raise InputError(f"an observer needs one output; {experiment.source} has {len(simulator.output_names)}.")
     slopes, outputs = side.secants(problem.parameters.start[problem.parameters.for_experiment(index)[1]])
-    interval = float(np.median(np.diff(experiment.times)))
-    gain = observer_gain(slopes, outputs[0] / simulator.output_factors[0], interval, samples)
+    gain = observer_gain(slopes, outputs[0] / simulator.output_factors[0], usual_step(experiment.times), samples)
     return side.corrected(side.nominals[:, None] * gain, tolerance=1e-7)
 
 

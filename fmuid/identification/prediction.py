@@ -25,7 +25,7 @@ from scipy import special
 from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
 from fmuid.codec import Layout
-from fmuid.data import Experiment, Noise, Parameter, is_quantity
+from fmuid.data import Experiment, Noise, Parameter, is_quantity, usual_step
 from fmuid.errors import NO_EXPERIMENT, InputError, check_kind
 from fmuid.estimation import Result, check_level
 from fmuid.formatting import nearest
@@ -333,8 +333,7 @@ class _Added:
         """Return the errors of the plant; those of one record, and alternatives of unsure size, are left out."""
         from fmuid.identification.directions import changes_by
 
-        times = simulator.experiment.times
-        samples = errors.interval / float(np.median(np.diff(times))) if len(times) > 1 else math.nan
+        samples = errors.interval / (usual_step(simulator.experiment.times) or math.nan)
         found = {each.test.direction.key: each for each in errors.freed if not each.kinds & OF_RECORD}
         factors = {key: samples if each.test.direction.unit == "samples" else 1.0 for key, each in found.items()}
         sizes = {key: factors[key] * each.test.size for key, each in found.items() if math.isfinite(factors[key])}

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from fmuid.array_types import Flags, Floats, Simulations
 from fmuid.blas import single_threaded
-from fmuid.data import Parameter
+from fmuid.data import Parameter, usual_step
 from fmuid.estimation import Estimates, Evaluator, LeastSquares, Marquardt, Result, SolverCheck
 from fmuid.events import Progress
 from fmuid.identification.acquisition_delay import include_delay
@@ -196,9 +196,8 @@ def _freed(problem: LeastSquares, result: Result, found: ModelErrors, progress: 
     freed[-1] = replace(freed[-1], alternatives=alternatives)
     tests = tuple(_of_model(each, count) for each in now.tests)
     rest = tuple(replace(each, test=_of_model(each.test, count)) for each in now.errors)
-    times = problem.experiments[0].times
     now = replace(now, names=result.names, tests=tests, errors=rest, freed=tuple(freed))
-    interval = float(np.median(np.diff(times))) if len(times) > 1 else math.nan
+    interval = usual_step(problem.experiments[0].times) or math.nan
     return Refit(corrected, again, replace(now, covariance=again.covariance[count:], interval=interval))
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from fmuid.array_types import Floats
-from fmuid.data import Experiment
+from fmuid.data import Experiment, usual_step
 from fmuid.simulation import Simulator
 
 
@@ -57,7 +57,7 @@ def doubt_of_time(simulator: Simulator, theta: Sequence[float]) -> TimeScaleWarn
     """
     simulator = simulator.of_model
     record = simulator.experiment
-    duration, step = float(record.times[-1] - record.times[0]), float(np.median(np.diff(record.times)))
+    duration, step = float(record.times[-1] - record.times[0]), usual_step(record.times)
     times, values = _response(simulator, theta, duration)
     constants = _constants(times, values)
     if constants.size and np.isfinite(constants).all():

@@ -104,7 +104,10 @@ def initial_simulation(simulator: Simulator) -> GridSimulation | None:
     experiment = extended_by(simulator.experiment, states)
     simulation = simulation_of(task_of(system, experiment, simulator.target_names, *simulator.settings))
     grid = simulation.grid
-    simulation.grid = grid._replace(times=grid.times[:1], substeps=grid.substeps[:0], inputs=grid.inputs[:1])
+    slopes = None if grid.slopes is None else grid.slopes[:1]
+    simulation.grid = grid._replace(
+        times=grid.times[:1], substeps=grid.substeps[:0], inputs=grid.inputs[:1], slopes=slopes
+    )
     return simulation
 
 

@@ -79,8 +79,9 @@ def test_branches_are_those_of_the_states_that_are_shown(tmp_path: Path) -> None
     assert slopes[0, :, 0] == pytest.approx(np.where(states[:, 0] > 0.5, -1.5, 1.5) + u, abs=1e-12)
 
 
-def test_initial_states_and_slopes_of_the_outputs(oscillator: Path) -> None:
-    side = side_of(oscillator, record(TIMES, {"u": INPUT}, ["y"]), ["x_start"])
+@pytest.mark.parametrize("interpolation", ["zoh", "pchip"])
+def test_initial_states_and_slopes_of_the_outputs(oscillator: Path, interpolation: str) -> None:
+    side = side_of(oscillator, record(TIMES, {"u": INPUT}, ["y"], interpolation), ["x_start"])
     assert side.initial(np.array([[0.7], [-2.0]])) == pytest.approx(np.array([[0.7, 0.0], [-2.0, 0.0]]))
     slopes, states, outputs = side.output_slopes(np.array([0.7]))
     assert slopes == pytest.approx(np.array([[3.0, 5.0]]), rel=1e-9)  # times the nominals

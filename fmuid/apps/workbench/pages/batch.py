@@ -19,13 +19,12 @@ from bokeh.models import ColumnDataSource, DataTable, NumberFormatter, TableColu
 from fmuid.apps.workbench.access_control import SCHEME
 from fmuid.apps.workbench.home import address
 from fmuid.apps.workbench.page_layout import argument, dress, sections
+from fmuid.apps.workbench.pages.live import in_scheme
 from fmuid.apps.workbench.pages.panels import LOOK_EVERY, side_by_side
 from fmuid.apps.workbench.project_folder import Folder, FoundResult, FoundStudy, read_json
 from fmuid.apps.workbench.widgets import SHEET, WIDE, choice, line, on_change, typed, words
 from fmuid.errors import InputError
 from fmuid.files import is_file, relative
-from fmuid.reports.render.bokeh_models import live
-from fmuid.reports.render.bokeh_renderer import drawing
 from fmuid.reports.render.html import text as escaped
 from fmuid.reports.topics.case_charts import over_cases
 from fmuid.runs import BatchColumns, CaseList, parts_in, read_part
@@ -120,7 +119,7 @@ class BatchPage:
         if "status" in self.frame and (self.frame["status"].astype(str) == "converged").any():
             truth = {name: value for name, value in (self.manifest.get("truth") or {}).items() if value is not None}
             charts = over_cases(self.frame, truth, self._units())
-            self.drawn.children = [side_by_side(live(drawing(charts).figures, dark=self.scheme == "dark"))]
+            self.drawn.children = [side_by_side(in_scheme(charts, self.scheme))]
 
     def _units(self) -> Mapping[str, str | None]:
         """Return the units of the estimates, known after the batch."""
