@@ -1,6 +1,7 @@
 """Noise whose variance follows the signal, its slope or the time: e = D ε with a diagonal D, ε of constant variance.
 
-Koenker's test (J. Econometrics 17, 1981) of squared innovations; D² is their regression on the strongest signal.
+Koenker's test (J. Econometrics 17, 1981) of squared innovations; D² = 1 + b (s − 1) is most likely for the strongest
+signal s of mean 1.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ class UnevenNoiseSettings:
     """Numbers of the test."""
 
     level: float = 0.01  # false alarms of all outputs together
-    least_variance: float = 0.05  # of the mean variance: a regression may become negative
+    least_variance: float = 0.01  # of the mean variance
     least_samples: int = 50
 
 
@@ -47,7 +48,8 @@ def _variance(squares: Floats, signal: Floats, level: float, *, ordered: bool) -
     signal = signal / max(float(np.abs(signal).max()), 1e-300)  # squares of any unit
     signals = [signal**2]
     signals += [np.gradient(signal) ** 2, np.arange(len(signal), dtype=np.float64)] if ordered else []
-    columns = [each - each.mean() for each in signals if np.ptp(each) > 0.0]
+    signals = [each for each in signals if np.ptp(each) > 0.0]
+    columns = [each - each.mean() for each in signals]
     centered = squares - squares.mean()
     if not columns or not centered.any():
         return None
@@ -58,6 +60,19 @@ def _variance(squares: Floats, signal: Floats, level: float, *, ordered: bool) -
         score = abs(float(products[i])) / math.sqrt(float(np.mean(centered**2)))
     if 2.0 * special.ndtr(-score) * len(columns) > level:
         return None
-    variance = squares.mean() + products[i] * unit[:, i]
-    variance = np.maximum(variance, SETTINGS.least_variance * squares.mean())
-    return np.asarray(variance / variance.mean())
+    return _most_likely(squares, signals[i])
+
+
+def _most_likely(squares: Floats, signal: Floats) -> Floats:
+    """Return the relative variance (n,), linear in a signal, that is most likely."""
+    from scipy.optimize import minimize_scalar  # slow to import
+
+    change = signal / signal.mean() - 1.0
+
+    def cost(slope: float) -> float:
+        variance = 1.0 + slope * change
+        return math.log(np.mean(squares / variance)) + float(np.mean(np.log(variance)))
+
+    reach = 1.0 - SETTINGS.least_variance
+    bounds = -reach / float(change.max()), -reach / float(change.min())
+    return np.asarray(1.0 + minimize_scalar(cost, bounds=bounds, method="bounded").x * change)
