@@ -33,6 +33,15 @@ class ConventionSettings:
     better: float = 0.2  # largest relative error with another convention, over that of now
 
 
+@dataclass(frozen=True, eq=False)
+class OtherConvention:
+    """Another convention of a signal, response or supply, and the experiment with it."""
+
+    kind: DefectKind
+    subject: str
+    experiment: Experiment
+
+
 SETTINGS = ConventionSettings()
 VOLTAGE = "voltage"  # subject of a supply
 
@@ -42,28 +51,26 @@ def find_conventions(
 ) -> Iterator[tuple[str, str, str, float]]:
     """Yield readings that fit otherwise: convention, subject, experiment and fit, %."""
 
-    def fit_by(number: int, other: Experiment) -> tuple[Experiment, Floats]:
-        trial = changed([other if k == number else each for k, each in enumerate(experiments)])
-        return other, Marquardt().search(Evaluator(trial)).fit.simulated[number]
+    def fit_by(number: int, other: OtherConvention) -> float:
+        trial = changed([other.experiment if k == number else each for k, each in enumerate(experiments)])
+        try:
+            simulated = Marquardt().search(Evaluator(trial)).fit.simulated[number]
+        except FmuidError:  # such as a model that fails there: no remedy
+            return -math.inf
+        return _least_fit(system, (other.experiment, simulated), other.subject)
 
     for number, experiment in enumerate(experiments):
         pair = experiment, result.fit.simulated[number]
         if experiment.kind == "time":
             poor = _least_fit(system, pair, "") < SETTINGS.poor_in_time
-            conventions = _signs(experiment, _at_start(changed(experiments), number)) if poor else {}
+            groups = [_signs(experiment, _at_start(changed(experiments), number))] if poor else []
         else:
-            conventions = _conventions(experiment)
-        for subject, others in conventions.items():
-            now = _least_fit(system, pair, subject)
-            best, found = -math.inf, ""
-            for kind, other in others.items() if now < SETTINGS.poor else ():
-                try:
-                    fit = _least_fit(system, fit_by(number, other), subject)
-                except FmuidError:  # such as a model that fails there: no remedy
-                    continue
-                best, found = max((best, found), (fit, kind.value))
-            if 100.0 - best <= SETTINGS.better * (100.0 - now):
-                yield found, subject, experiment.name, best
+            groups = _conventions(experiment)
+        for group in filter(None, groups):
+            if (now := _least_fit(system, pair, group[0].subject)) < SETTINGS.poor:
+                best, i = max((fit_by(number, other), -i) for i, other in enumerate(group))
+                if 100.0 - best <= SETTINGS.better * (100.0 - now):
+                    yield group[-i].kind.value, group[-i].subject, experiment.name, best
 
 
 def _least_fit(system: System, pair: tuple[Experiment, Floats], subject: str) -> float:
@@ -79,16 +86,17 @@ def _at_start(problem: LeastSquares, number: int) -> Floats:
     return np.asarray(problem.predictors[number].many(problem.parameters.start[columns][None]).outputs[0])
 
 
-def _signs(experiment: Experiment, simulated: Floats) -> dict[str, dict[DefectKind, Experiment]]:
-    """Return the other sign of outputs against the simulation; where all are, of the input."""
+def _signs(experiment: Experiment, simulated: Floats) -> list[OtherConvention]:
+    """Return the other sign of outputs against the simulation, or of inputs where all are: each, and all together."""
     if experiment.observation is not None:
-        return {}
+        return []
     pairs = zip(experiment.output_values.T, simulated.T, experiment.counted.T, strict=True)
     against = [bool(own.any()) and _are_opposite(measured[own], outputs[own]) for measured, outputs, own in pairs]
     names = [name for name, each in zip(experiment.output_names, against, strict=True) if each]
-    if all(against) and len(experiment.input_names) == 1:
+    if all(against) and experiment.input_names:
         names = list(experiment.input_names)
-    return {name: {DefectKind.SIGN: _reversed(experiment, name)} for name in names}
+    subjects = [[name] for name in names] + ([names] if len(names) > 1 else [])
+    return [OtherConvention(DefectKind.SIGN, ", ".join(each), _reversed(experiment, each)) for each in subjects]
 
 
 def _are_opposite(measured: Floats, simulated: Floats) -> bool:
@@ -97,37 +105,38 @@ def _are_opposite(measured: Floats, simulated: Floats) -> bool:
     return float(off @ back) < SETTINGS.against * float(np.linalg.norm(off) * np.linalg.norm(back))
 
 
-def _conventions(experiment: Experiment) -> dict[str, dict[DefectKind, Experiment]]:
+def _conventions(experiment: Experiment) -> list[list[OtherConvention]]:
     """Return the other conventions of each response, or of the supply."""
     if isinstance(experiment, FrequencyExperiment):
-        return {name: dict(_of_response(experiment, name)) for name in experiment.responses}
+        return [list(_of_response(experiment, name)) for name in experiment.responses]
     if not isinstance(experiment, SteadyExperiment) or experiment.supply is None:
-        return {}
+        return []
     own = experiment.supply
     kind = DefectKind.LINE_VOLTAGE if own.line_voltage is None else DefectKind.PHASE_VOLTAGE
     supply = replace(own, voltage=own.line_voltage, line_voltage=own.voltage)
     inputs = {name: column for name, column in experiment.columns.items() if name in experiment.input_names}
     inputs = {name: column for name, column in inputs.items() if name not in own.given}
     units = {name: unit for name, unit in experiment.units.items() if name not in own.given}
-    return {VOLTAGE: {kind: replace(experiment, supply=supply, inputs=inputs, units=units)}}
+    return [[OtherConvention(kind, VOLTAGE, replace(experiment, supply=supply, inputs=inputs, units=units))]]
 
 
-def _reversed(experiment: Experiment, name: str) -> Experiment:
-    column = experiment.columns[name]
-    return replace(experiment, frame=experiment.frame.assign(**{column: -experiment.frame[column]}))
+def _reversed(experiment: Experiment, names: Sequence[str]) -> Experiment:
+    columns = dict.fromkeys(experiment.columns[name] for name in names)
+    return replace(experiment, frame=experiment.frame.assign(**{each: -experiment.frame[each] for each in columns}))
 
 
-def _of_response(experiment: FrequencyExperiment, name: str) -> Iterator[tuple[DefectKind, FrequencyExperiment]]:
+def _of_response(experiment: FrequencyExperiment, name: str) -> Iterator[OtherConvention]:
     own = experiment.responses[name]
 
-    def as_(response: Response) -> FrequencyExperiment:
-        return replace(experiment, outputs=(), responses={**experiment.responses, name: response})
+    def as_(kind: DefectKind, response: Response) -> OtherConvention:
+        responses = {**experiment.responses, name: response}
+        return OtherConvention(kind, name, replace(experiment, outputs=(), responses=responses))
 
     if {"imaginary", "phase"} & own.columns.keys():
-        yield DefectKind.CONJUGATE, as_(replace(own, conjugate=not own.conjugate))
+        yield as_(DefectKind.CONJUGATE, replace(own, conjugate=not own.conjugate))
     if set(own.columns) - {"magnitude", "decibel"}:
-        yield DefectKind.SIGN, as_(replace(own, of=own.reversed_ratio))
+        yield as_(DefectKind.SIGN, replace(own, of=own.reversed_ratio))
     if own.phase is not None:
         column = experiment.columns[f"{name}.phase"]
         radians = experiment.frame.assign(**{column: experiment.frame[column] / DEGREE})
-        yield DefectKind.RADIANS, replace(experiment, outputs=(), frame=radians)
+        yield OtherConvention(DefectKind.RADIANS, name, replace(experiment, outputs=(), frame=radians))

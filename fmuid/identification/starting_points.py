@@ -113,7 +113,7 @@ class _Restarts:
                 self._note(remedy, SearchFailure.FAILED if failed else SearchFailure.NO_EFFECT)
                 continue
             self._end(remedy, result)
-            if self._is_settled():
+            if self._is_settled() or (len(self.ended) == 1 and self._has_other_convention(result)):
                 return self._concluded(given)
         if not self.ended:
             raise error or InputError("no starting point.")
@@ -216,6 +216,10 @@ class _Restarts:
         if last.attempt.trouble is SearchFailure.NONE or last.result.outcome is TerminationReason.INTERRUPTED:
             return True
         return is_confirmed(last, self.ended, self.equation_ratio)
+
+    def _has_other_convention(self, result: Result) -> bool:
+        """Tell if the data fit with another sign or unit: no other starting point fits them as they are."""
+        return any(self.problem.other_conventions(result))
 
     def _concluded(self, given: Floats) -> Result:
         best = best_of(self.ended)
