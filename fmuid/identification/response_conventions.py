@@ -35,7 +35,7 @@ class ConventionSettings:
 
 @dataclass(frozen=True, eq=False)
 class OtherConvention:
-    """Another convention of a signal, response or supply, and the experiment with it."""
+    """Another convention of a signal, response or supply, with its experiment."""
 
     kind: DefectKind
     subject: str
@@ -87,7 +87,10 @@ def _at_start(problem: LeastSquares, number: int) -> Floats:
 
 
 def _signs(experiment: Experiment, simulated: Floats) -> list[OtherConvention]:
-    """Return the other sign of outputs against the simulation, or of inputs where all are: each, and all together."""
+    """Return the other sign of outputs against the simulation.
+
+    Of inputs where all are against it; each, and all together.
+    """
     if experiment.observation is not None:
         return []
     pairs = zip(experiment.output_values.T, simulated.T, experiment.counted.T, strict=True)
