@@ -64,7 +64,7 @@ def _variance(squares: Floats, signal: Floats, level: float, *, ordered: bool) -
 
 
 def _most_likely(squares: Floats, signal: Floats) -> Floats:
-    """Return the most likely relative variance (n,) that is linear in a signal."""
+    """Return the most likely relative variance (n,), linear in a signal."""
     from scipy.optimize import minimize_scalar  # slow to import
 
     change = signal / signal.mean() - 1.0
