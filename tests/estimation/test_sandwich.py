@@ -305,17 +305,16 @@ def test_estimated_weights_of_two_outputs_are_in_the_variance() -> None:
 
     Without the term of Kenward and Roger the mean variance is 0.83 of that of the estimates.
     """
-    rng, count, means, variances = np.random.default_rng(5), 8, [], []
+    rng, count, variances = np.random.default_rng(5), 8, []
     each = [OutputSeries("e", f"y{k}", k, count * k + np.arange(count), np.arange(count), 1.0, True, k, k, False)
             for k in range(2)]  # fmt: skip
-    for _ in range(2000):
-        readings, noise = rng.standard_normal((2, count)) * [[1.0], [2.0]], np.array([1.0, 4.0])
-        for _ in range(40):
-            weights = 1.0 / noise
-            value = weights @ readings.mean(axis=1) / weights.sum()
-            noise = np.sum((readings - value) ** 2, axis=1) / (count - weights / weights.sum())
-        levels = np.repeat(np.sqrt(noise), count)
-        found = sandwich(made(1.0 / levels[:, None], (readings.ravel() - value) / levels, outputs=2), each)
-        means.append(value)
+    readings, noise = rng.standard_normal((2000, 2, count)) * [[1.0], [2.0]], np.full((2000, 2), [1.0, 4.0])
+    for _ in range(40):
+        weights = 1.0 / noise / np.sum(1.0 / noise, axis=1, keepdims=True)
+        means = np.sum(weights * readings.mean(axis=2), axis=1)
+        left = readings - means[:, None, None]
+        noise = np.sum(left**2, axis=2) / (count - weights)
+    for residual, levels in zip(left, np.repeat(np.sqrt(noise), count, axis=1), strict=True):
+        found = sandwich(made(1.0 / levels[:, None], residual.ravel() / levels, outputs=2), each)
         variances.append(found.covariance[0, 0])
     assert np.mean(variances) == pytest.approx(np.var(means), rel=0.06)

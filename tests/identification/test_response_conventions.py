@@ -38,10 +38,10 @@ def spectrum(response: Response, kind: DefectKind | None = None) -> FrequencyExp
     ("kind", "parts"),
     [
         (DefectKind.RADIANS, POLAR),
-        (DefectKind.CONJUGATE, POLAR),
+        pytest.param(DefectKind.CONJUGATE, POLAR, marks=pytest.mark.slow),
         (DefectKind.CONJUGATE, COMPLEX),
         (DefectKind.SIGN, POLAR),
-        (DefectKind.SIGN, COMPLEX),
+        pytest.param(DefectKind.SIGN, COMPLEX, marks=pytest.mark.slow),
     ],
 )
 def test_another_convention_is_named(kind: DefectKind, parts: dict[str, str]) -> None:

@@ -29,7 +29,7 @@ def simulator(*more: str, observation: Observation = STUDY_AXES) -> fmuid.Simula
 @pytest.mark.parametrize(
     ("errors", "changed", "left"),
     [
-        ({"dead_time": 2.0}, {"dead_time_voltage": 2.0}, 0.03),
+        pytest.param({"dead_time": 2.0}, {"dead_time_voltage": 2.0}, 0.03, marks=pytest.mark.slow),
         # a tenth of the voltage: beside zero current the drop is a resistance of 40 times R_s
         ({"dead_time": 10.0}, {"dead_time_voltage": 10.0}, 0.05),
         pytest.param(

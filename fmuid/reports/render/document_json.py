@@ -7,14 +7,18 @@ import dataclasses
 import json
 import math
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fmuid.errors import InputError
 from fmuid.files import is_file, replacing
 from fmuid.reports.document import Document
+
+if TYPE_CHECKING:
+    from pydantic import TypeAdapter
 
 DOCUMENT_FILE = "document.json"
 SCHEMA = "fmuid/document/1"
@@ -56,7 +60,7 @@ def table_json(document: Document) -> str:
 
 def read_documents(folder: Path) -> dict[str, Document]:
     """Return the documents of a folder by their kind."""
-    from pydantic import TypeAdapter, ValidationError
+    from pydantic import ValidationError
 
     path = folder / DOCUMENT_FILE
     if not is_file(path):
@@ -64,13 +68,21 @@ def read_documents(folder: Path) -> dict[str, Document]:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         arrays = [np.frombuffer(base64.b64decode(each["data"]), _DTYPES[each["dtype"]]) for each in content["arrays"]]
-        return TypeAdapter(dict[str, Document]).validate_python(_decoded(content["documents"], arrays))
+        return _checker().validate_python(_decoded(content["documents"], arrays))
     except ValidationError as error:
         first = error.errors()[0]
         wrong = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
     except (OSError, ValueError, RecursionError, KeyError, TypeError, IndexError, AttributeError) as error:
         wrong = f"{type(error).__name__}: {error}"
     raise InputError(f"{path} is not what fmuid writes ({wrong}): run the command again that has written it")
+
+
+@cache
+def _checker() -> TypeAdapter[dict[str, Document]]:
+    """Return the checker of documents, which is slow to make."""
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(dict[str, Document])
 
 
 def _encoded(value: Any, arrays: list[np.ndarray[Any, Any]], known: dict[int, int]) -> Any:
