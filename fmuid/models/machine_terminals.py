@@ -46,7 +46,7 @@ class MachineTerminals:
 
 @dataclass(frozen=True, eq=False)
 class OperatingPhasors:
-    """Phasors of operating points: amplitudes (K,) in both axes.
+    """Phasors of operating points: amplitudes (..., K) in both axes.
 
     `share` is the mean of a product of two signals over that of their amplitudes: 1/2, or 1 for constants. `supply`
     is the angular frequency of the supply (K,), rad/s; `slip` (K,).
@@ -58,18 +58,18 @@ class OperatingPhasors:
     share: float
     supply: Floats
     slip: Floats
-    resistance: float
+    resistance: float | Floats
     pole_pairs: float
 
     @property
     def current(self) -> Floats:
-        """Phase current (K,), A rms."""
+        """Phase current (..., K), A rms."""
         square = 2.0 * self.share * np.sum(np.abs(self.currents) ** 2, axis=0) / 2.0
         return np.asarray(np.sqrt(square) / self.terminals.amplitude, dtype=np.float64)
 
     @property
     def power(self) -> Phasors:
-        """Complex power P + jQ of three phases (K,), VA."""
+        """Complex power P + jQ of three phases (..., K), VA."""
         (ud, uq), (id_, iq) = self.voltages, self.currents
         active = np.real(ud * np.conj(id_) + uq * np.conj(iq))
         reactive = np.real(uq * np.conj(id_) - ud * np.conj(iq))
@@ -77,7 +77,7 @@ class OperatingPhasors:
 
     @property
     def torque(self) -> Floats:
-        """Air-gap torque (K,), N.m: air-gap power over synchronous speed."""
+        """Air-gap torque (..., K), N.m: air-gap power over synchronous speed."""
         air_gap = self.power.real - 3.0 * self.resistance * self.current**2
         return np.asarray(air_gap * self.pole_pairs / self.supply, dtype=np.float64)
 

@@ -83,17 +83,16 @@ class FrequencySimulator(PointSimulator):
         starts = np.zeros((len(thetas), len(points.states))) if initial is None else initial
         models = points.at(starts[:1], thetas)
         scale = np.maximum(np.abs(starts[:1]), points.nominals)
-        rest, states = starts[:1], [models]
+        rest = starts[:1]
         if not ((starts == starts[0]).all() and is_at_rest(models, scale).all()):
-            found = [find_steady_states(points, theta, each[None]) for theta, each in zip(thetas, starts, strict=True)]
-            rest, states = found[0].states, [each.models for each in found]
+            found = find_steady_states(points, thetas, starts[:, None])
+            rest, models = found.states[0], found.models
             wrong = f"operating point: {REASONS[SteadyIssue.NONE]}"
-            reasons = ["" if each.found.all() else wrong for each in found]
+            reasons = ["" if each else wrong for each in found.found[:, 0]]
         if not self._is_checked and not reasons[0]:
             reasons[0] = "an event at the operating point. Change point" if points.events(rest, thetas[0]).any() else ""
             self._is_checked = not reasons[0]
-        matrices = (np.concatenate([getattr(each, name)[:, 0] for each in states]) for name in "abcd")
-        return self._outputs(*matrices), reasons
+        return self._outputs(*(getattr(models, name)[:, 0] for name in "abcd")), reasons
 
     def _outputs(self, a: Floats, b: Floats, c: Floats, d: Floats) -> Floats:
         """Return the outputs (m, K, n_outputs) of linear models (m, n, n)."""

@@ -119,18 +119,16 @@ class PhasorSimulator(PointSimulator):
     def _compute(self, thetas: Floats) -> tuple[Floats, list[str]]:
         """Return outputs (m, K, n_outputs) of all rows, and reasons of failures."""
         points, (_, angular, slip) = self._points, self.supply
-        models = points.at(np.zeros((2 * slip.size, len(points.states))), thetas).of(np.s_[: slip.size])
+        models = points.at(np.zeros((2 * slip.size, len(points.states))), thetas).of(np.s_[:, : slip.size])
         states = _states(models, self.frequencies, self.vector.T)
         currents = (models.c @ states + models.d @ self.vector.T[..., None])[..., 0]
         resistance = np.full(len(thetas), np.nan)
         if self.terminals.resistance:
             resistance = self.parameter(self.terminals.resistance, thetas)
-        outputs = np.empty((len(thetas), slip.size, len(self.output_names)))
-        for i in range(len(thetas)):
-            given = self.vector, currents[i].T, 0.5, angular, slip, float(resistance[i]), self.pole_pairs or np.nan
-            values = values_of_formulas(self.output_names, OperatingPhasors(self.terminals, *given))
-            for j, name in enumerate(self.output_names):
-                outputs[i, :, j] = in_data_units(self.system, self.experiment, name, values[name])
+        given = self.vector[:, None], np.moveaxis(currents, -1, 0), 0.5, angular, slip, resistance[:, None]
+        at = OperatingPhasors(self.terminals, *given, self.pole_pairs or np.nan)
+        values = values_of_formulas(self.output_names, at).items()
+        outputs = np.stack([in_data_units(self.system, self.experiment, *each) for each in values], axis=-1)
         reasons = [""] * len(thetas)
         if not self._is_checked and np.isfinite(states[0]).all():
             reasons[0] = self._curvature(states[0, :, :, 0], models.a[0], thetas[:1])

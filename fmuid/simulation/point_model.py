@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -68,9 +69,16 @@ class StateSpace:
     rates: Floats  # (m, K, n_x), ẋ at the points
     outputs: Floats  # (m, K, n_y)
 
-    def of(self, rows: slice) -> StateSpace:
-        """Return the models of some rows."""
-        return StateSpace(*(each[:, rows] for each in vars(self).values()))
+    def of(self, which: Any) -> StateSpace:
+        """Return the models of some thetas, or of thetas and rows."""
+        return StateSpace(*(each[which] for each in vars(self).values()))
+
+    def replaced(self, which: Flags, other: StateSpace) -> StateSpace:
+        """Return them with those of `other` for some thetas (m,), or rows (m, K)."""
+        parts = [each.copy() for each in vars(self).values()]
+        for part, new in zip(parts, vars(other).values(), strict=True):
+            part[which] = new
+        return StateSpace(*parts)
 
 
 class PointModel:
@@ -129,11 +137,11 @@ class PointModel:
         return self._initial(thetas)
 
     def at(self, states: Floats, thetas: Floats) -> StateSpace:
-        """Return the linear models about states (K, n_x) for thetas (m, N); NaN after a failure."""
+        """Return the linear models about states (K, n_x), or (m, K, n_x), for thetas (m, N); NaN after a failure."""
         if self._exact is None:
             return self._by_differences(states, thetas)
         n = len(self.states)
-        values, slopes = self._exact.linear(np.repeat(states, self._copies, axis=0), thetas)
+        values, slopes = self._exact.linear(np.repeat(states, self._copies, axis=-2), thetas)
         values, slopes = values[:, :: self._copies], slopes[:, :: self._copies]
         parts = slopes[:, :, :n, :n], slopes[:, :, :n, n:], slopes[:, :, n:, :n], slopes[:, :, n:, n:]
         found = StateSpace(*parts, values[..., :n], values[..., n:])
@@ -169,25 +177,27 @@ class PointModel:
         """Return rates and outputs (m, K, rows, n)."""
         n = len(self.states)
         sizes = step * np.maximum(np.abs(states), self.nominals)
-        points = np.repeat(states[:, None], self.rows, axis=1)
+        points = np.repeat(states[..., None, :], self.rows, axis=-2)
         for i in range(n):
-            points[:, 1 + 2 * i, i] += sizes[:, i]
-            points[:, 2 + 2 * i, i] -= sizes[:, i]
-        found = self._side(points.reshape(-1, n), np.ascontiguousarray(thetas))
+            points[..., 1 + 2 * i, i] += sizes[..., i]
+            points[..., 2 + 2 * i, i] -= sizes[..., i]
+        found = self._side(points.reshape(*states.shape[:-2], -1, n), np.ascontiguousarray(thetas))
         rates, outputs = (each.reshape(len(thetas), self.count, self.rows, -1) for each in found)
         return rates, outputs
 
     def _steps(self, states: Floats) -> Floats:
-        """Return the steps (K, n_x + n_seeds) of differences."""
+        """Return the steps (..., K, n_x + n_seeds) of differences."""
         sizes = SETTINGS.step * np.maximum(np.abs(states), self.nominals)
-        return np.column_stack([sizes, *(self.input_steps[name] for name in self.seeds)])
+        inputs = [np.broadcast_to(self.input_steps[name], sizes.shape[:-1])[..., None] for name in self.seeds]
+        return np.concatenate([sizes, *inputs], axis=-1)
 
 
 def _agree(one: StateSpace, other: StateSpace, sizes: Floats) -> bool:
-    """Return whether derivatives agree where the other ones are finite; `sizes` (K, n) are of states and seeds."""
+    """Return whether derivatives agree where the other ones are finite; `sizes` (..., K, n) are of states and seeds."""
     for names, values in (("ab", other.rates), ("cd", other.outputs)):
         first, second = (
-            np.concatenate([getattr(each, name) for name in names], axis=3) * sizes[:, None] for each in (one, other)
+            np.concatenate([getattr(each, name) for name in names], axis=3) * sizes[..., None, :]
+            for each in (one, other)
         )
         most = np.abs(second).max(axis=3, initial=0.0, keepdims=True)
         bound = SETTINGS.allowed * most + SETTINGS.rounding * np.abs(values)[..., None]

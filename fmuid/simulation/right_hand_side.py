@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -55,15 +56,19 @@ class RightHandSide:
             strides=np.ones(1, np.intp),
             inputs=inputs,
             slopes=None,
-            states=np.zeros((len(ends), len(self.states))),
+            states=len(self.states),
         )
         # nothing varies between points
         task, found = replace(task, modes=dict.fromkeys(task.modes, codes.HELD)), task.experiment.output_names
         plan = plan_by_seeds(task, seeds, len(self.states))[0] if seeds else plan_of(task)
         self._simulation = GridSimulation(plan, self._points, found * (1 + len(seeds)))
         # a derivative that was measured is there once
-        self._columns = [found.index(name) for name in (*wanted, *outputs)]
-        self._start = initial_simulation(simulator.by(system, 1, None))
+        columns = [found.index(name) for name in (*wanted, *outputs)]
+        self._columns = slice(None) if columns == list(range(len(found))) else columns
+
+    @cached_property
+    def _start(self) -> GridSimulation | None:
+        return initial_simulation(self._simulator.by(self.system, 1, None))
 
     @classmethod
     def of(cls, simulator: Simulator, *, by_rows: bool = False, seeds: Sequence[str] = ()) -> RightHandSide | None:
@@ -82,7 +87,7 @@ class RightHandSide:
     def __call__(self, states: Floats, thetas: Floats) -> tuple[Floats, Floats]:
         """Return derivatives (m, P, n_x) and outputs (m, P, n_y); in units of the data file; NaN after a failure.
 
-        States are (P, n_x), P = 2 (K − 1) points: begin and end of each interval, or P = K rows.
+        States are (P, n_x), or (m, P, n_x); P = 2 (K − 1) points: begin and end of each interval, or P = K rows.
         """
         found, count = self._at(states, thetas)[:, :, 0], len(self.states)
         return found[:, :, :count], self._simulator.in_table_units(found[:, :, count:])
@@ -97,11 +102,13 @@ class RightHandSide:
 
     def _at(self, states: Floats, thetas: Floats) -> Floats:
         """Return values and derivatives of the FMU, (m, P, 1 + n_seeds, n)."""
-        executor, given = executor_of(self.system), self._points.states
-        assert given is not None, "as made"
-        job = self._simulation.job(self._simulator.target_values(thetas))
+        executor, values = executor_of(self.system), self._simulator.target_values(thetas)
+        count = values.shape[1]
+        given = np.empty((len(values), count + states.shape[-2] * states.shape[-1]))
+        given[:, :count] = values
+        given[:, count:] = states.reshape(-1, given.shape[1] - count)
+        job = self._simulation.job(given)
         with executor.lock:
-            given[:] = states
             executor.run(job)
         job.outputs[job.failed] = np.nan
         return job.outputs.reshape(*job.outputs.shape[:2], 1 + self._seeds, -1)[..., self._columns]

@@ -47,8 +47,8 @@ class SimulationLoop:
         self._operations = (self._core.Operation * len(plan.operations))(*map(self._operation, plan.operations))
         self._plan = self._lay_out(plan, grid)
         strides = grid.strides if (grid.strides > 1).any() else None
-        arrays = (grid.times, grid.inputs, grid.slopes, grid.substeps, strides, grid.states, grid.gain, grid.measured)
-        self._grid = self._core.Grid(len(grid.times), *map(address, arrays))
+        arrays = (grid.times, grid.inputs, grid.slopes, grid.substeps, strides, grid.gain, grid.measured)
+        self._grid = self._core.Grid(len(grid.times), -1 if grid.states is None else grid.states, *map(address, arrays))
         self._bound = tuple(map(ctypes.byref, (self._plan, self._grid, self._cancel)))
 
     def run(self, thetas: Floats, outputs: Floats, reports: Indices) -> None:

@@ -133,7 +133,7 @@ class TimeGrid(NamedTuple):
     """The experiment as `SampleGrid` of the core.
 
     Times (K,), substeps per interval (K-1,), substeps per component's step (n_components,), inputs (K, n_u), slopes of
-    cubic inputs. A single Model Exchange component may get `states` (K, n_x) instead of integration.
+    cubic inputs. A single Model Exchange component may get `states` at each sample instead of integration.
     Or samples correct its states: `gain` (n_x, n_y) times `measured` (K, n_y) − outputs, except NaN.
     """
 
@@ -142,7 +142,7 @@ class TimeGrid(NamedTuple):
     strides: Indices
     inputs: Floats
     slopes: Floats | None
-    states: Floats | None = None
+    states: int | None = None
     gain: Floats | None = None
     measured: Floats | None = None
 
@@ -177,7 +177,7 @@ class GridSimulation:
         self.plan = self.plan._replace(integrations=integrations)
 
     def job(self, thetas: Floats) -> SimulationJob:
-        """Return the job to simulate thetas (m, N)."""
+        """Return the job to simulate thetas (m, N), each followed by its given states (K n_x)."""
         outputs = np.empty((len(thetas), self.grid.times.size, len(self.output_names)))
         return SimulationJob(self, thetas, outputs, new_reports(len(thetas)))
 
@@ -188,16 +188,15 @@ class GridSimulation:
 
     @property
     def varying(self) -> list[Floats]:
-        """Arrays to fill in before each simulation: those of sensitivities, given states and changing inputs."""
+        """Arrays to fill in before each simulation: those of sensitivities and changing inputs."""
         some = [each.sensitivities for each in self.plan.integrations if each is not None and each.sensitivities]
-        given = [] if self.grid.states is None else [self.grid.states]
-        given += [each for each in (self.grid.inputs, self.grid.slopes) if self.driven and each is not None]
+        given = [each for each in (self.grid.inputs, self.grid.slopes) if self.driven and each is not None]
         return [array for each in some for array in (each.magnitudes, each.initial, each.steps)] + given
 
 
 @dataclass(frozen=True, eq=False)
 class SimulationJob:
-    """Thetas (m, N), outputs (m, K, n_outputs), reports (m, codes.REPORT)."""
+    """Thetas (m, N + K n_x), outputs (m, K, n_outputs), reports (m, codes.REPORT)."""
 
     simulation: GridSimulation
     thetas: Floats
@@ -226,7 +225,7 @@ def shares(total: int, count: int) -> list[slice]:
 _TYPES: dict[str, type[np.generic]] = {  # of arrays that are no indices
     "references": np.uint32,
     **dict.fromkeys(("signals", "conversions", "tolerances", "times", "inputs", "slopes"), np.float64),
-    **dict.fromkeys(("states", "gain", "measured"), np.float64),
+    **dict.fromkeys(("gain", "measured"), np.float64),
 }
 _PASSED_BOOLEAN = {2: codes.INT32, 3: codes.UINT8}  # other types are passed as they are called
 
@@ -262,7 +261,7 @@ def check_arrays(plan: SimulationPlan, grid: TimeGrid, thetas: Floats, outputs: 
     """Check the arrays of a call; a `ValueError` if one is wrong."""
     m = len(thetas)
     for name, array, shape, kind in (
-        ("thetas", thetas, (m, len(plan.parameter_signals)), np.float64),
+        ("thetas", thetas, (m, len(plan.parameter_signals) + len(grid.times) * (grid.states or 0)), np.float64),
         ("outputs", outputs, (m, len(grid.times), len(plan.output_terms) - 1), np.float64),
         ("reports", reports, (m, codes.REPORT), np.intp),
     ):

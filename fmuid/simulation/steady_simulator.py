@@ -19,11 +19,11 @@ from fmuid.simulation.steady_state import (
     SettledSimulation,
     SteadyIssue,
     SteadyStates,
+    doubt,
     find_steady_states,
     first_issue,
-    is_unstable,
     other_starts,
-    settle,
+    steady_states_near,
 )
 from fmuid.units import parse_unit
 
@@ -35,6 +35,7 @@ REASONS = {
     SteadyIssue.MOVING: "outputs do not come to rest. Remove the row",
 }
 """Text of each issue, with the remedy."""
+Issue = tuple[int, SteadyIssue] | None
 
 
 class SteadySimulator(PointSimulator):
@@ -75,52 +76,57 @@ class SteadySimulator(PointSimulator):
 
     def _compute(self, thetas: Floats) -> tuple[Floats, list[str]]:
         """Return outputs (m, K, n_outputs) of all rows, and reasons of failures."""
-        outputs = np.full((len(thetas), len(self.experiment.times), len(self.output_names)), np.nan)
-        reasons, near = [], self._usual
-        for i, theta in enumerate(thetas):
-            if self._points is None:
-                signals, issue = self._settle(theta)
-            else:
-                signals, issue, near = self._solve(self._points, theta, near, first=not self._is_checked)
-                self._is_checked |= issue is None
-            reasons.append("" if issue is None else f"row {issue[0] + 1}: {REASONS[issue[1]]}")
-            if issue is None:
-                outputs[i] = self._outputs(signals)
-        return outputs, reasons
+        signals, issues = self._settle(thetas) if self._points is None else self._solve(self._points, thetas)
+        return self._outputs(signals), [
+            "" if issue is None else f"row {issue[0] + 1}: {REASONS[issue[1]]}" for issue in issues
+        ]
 
     def issue_at(self, theta: Floats) -> tuple[int, str] | None:
         """As of `PointSimulator`: an event, else one of several steady states."""
         if self._points is None:
             return None
-        _, issue, _ = self._solve(self._points, theta, None, first=True)
+        found = self._found(self._points, theta[None])
+        (issue,) = first_issue(found)
+        issue = issue or self._doubt(self._points, theta, found, from_usual=False)
         if issue is None:
             return None
-        row, found = issue
-        return row, (found if found is SteadyIssue.EVENT else SteadyIssue.SEVERAL).value
+        row, reason = issue
+        return row, (reason if reason is SteadyIssue.EVENT else SteadyIssue.SEVERAL).value
 
-    def _settle(self, theta: Floats) -> tuple[Floats, tuple[int, SteadyIssue] | None]:
-        found = np.full((len(self.experiment.times), len(self.signals)), np.nan)
-        for row in range(len(found)):
-            values = self._settled.rest(row, theta)
-            if values is None:
-                return found, (row, SteadyIssue.MOVING)
-            found[row] = values
-        return found, None
+    def _settle(self, thetas: Floats) -> tuple[Floats, list[Issue]]:
+        """Return the signals (m, K, n) of simulations, and issues."""
+        found = np.full((len(thetas), len(self.experiment.times), len(self.signals)), np.nan)
+        issues: list[Issue] = [None] * len(thetas)
+        for i, row in np.ndindex(found.shape[:2]):
+            values = self._settled.rest(row, thetas[i]) if issues[i] is None else None
+            if values is not None:
+                found[i, row] = values
+            else:
+                issues[i] = issues[i] or (row, SteadyIssue.MOVING)
+        return found, issues
 
-    def _solve(
-        self, points: PointModel, theta: Floats, near: Floats | None, *, first: bool
-    ) -> tuple[Floats, tuple[int, SteadyIssue] | None, Floats | None]:
-        """Return the signals (K, n), an issue, and states near by; `first` as of `first_issue`."""
-        found, others = None if near is None else settle(points, theta, near, by_newton=True), list[Floats]()
-        if found is None or not found.found.all():
-            found = find_steady_states(points, theta, self._start(points, theta))
-            others = [] if self._usual is None else [self._usual]
-        lost = ~found.found | (is_unstable(found.models) & (not self.experiment.guess))
-        if lost.any():
-            found = self._from_simulations(points, theta, found, lost)
-        starts = [] if self.experiment.guess else [*others, *other_starts(points, found.states)]
-        issue = first_issue(points, theta, found, first=first, starts=starts)
-        return found.models.outputs[0], issue, found.states if issue is None else near
+    def _solve(self, points: PointModel, thetas: Floats) -> tuple[Floats, list[Issue]]:
+        """Return the signals (m, K, n) of steady states, and issues; the first theta without one is examined."""
+        if self._usual is None:
+            found, direct = self._found(points, thetas), np.zeros(len(thetas), dtype=np.bool_)
+        else:
+            found = steady_states_near(points, thetas, self._usual)
+            is_guessed = bool(self.experiment.guess)
+            direct = np.asarray(found.found.all(axis=1) & (~found.unstable.any(axis=1) | is_guessed))
+            if not direct.all():
+                found = found.replaced(~direct, self._found(points, thetas[~direct]))
+        issues = first_issue(found)
+        for i, theta in enumerate(thetas):
+            if not self._is_checked and issues[i] is None:
+                issues[i] = self._doubt(points, theta, found.of(slice(i, i + 1)), from_usual=bool(direct[i]))
+                self._is_checked = issues[i] is None
+        return found.models.outputs, issues
+
+    def _doubt(self, points: PointModel, theta: Floats, found: SteadyStates, *, from_usual: bool) -> Issue:
+        """Return the issue of other steady states, unless they are told from a guess."""
+        others = [self._usual] if self._usual is not None and not from_usual else []
+        guessed = bool(self.experiment.guess)
+        return doubt(points, theta, found, [] if guessed else [*others, *other_starts(points, found.states[0])])
 
     @cached_property
     def _usual(self) -> Floats | None:
@@ -128,43 +134,57 @@ class SteadySimulator(PointSimulator):
         values = [self.system.variable(name, "parameter").start for name in self.parameters]
         if self._points is None or not all(isinstance(value, int | float) for value in values):
             return None
-        theta = np.array(values, dtype=np.float64)
-        found = find_steady_states(self._points, theta, self._start(self._points, theta))
-        return found.states if found.found.all() and not is_unstable(found.models).any() else None
+        thetas = np.array([values], dtype=np.float64)
+        found = find_steady_states(self._points, thetas, self._starts(self._points, thetas))
+        return found.states[0] if found.found.all() and not found.unstable.any() else None
 
-    def _start(self, points: PointModel, theta: Floats) -> Floats:
-        initial = points.initial(theta[None])
-        start = np.zeros(len(points.states)) if initial is None else initial[0]
+    def _starts(self, points: PointModel, thetas: Floats) -> Floats:
+        """Return the initial states (m, K, n_x), or those of the guess."""
+        start = np.zeros((len(thetas), len(points.states)))
+        for i in range(len(thetas)):
+            initial = points.initial(thetas[i : i + 1])
+            start[i] = 0.0 if initial is None else initial[0]
         for name, value in self.experiment.guess.items():
             if name not in points.states:
                 near = nearest(name, points.states)
                 raise InputError(f"{self.experiment.source}: guess: {name!r} is no state{near}.")
-            start[points.states.index(name)] = value
-        return np.tile(start, (len(self.experiment.times), 1))
+            start[:, points.states.index(name)] = value
+        return np.repeat(start[:, None], len(self.experiment.times), axis=1)
 
-    def _from_simulations(self, points: PointModel, theta: Floats, found: SteadyStates, lost: Flags) -> SteadyStates:
+    def _found(self, points: PointModel, thetas: Floats) -> SteadyStates:
+        """Return the steady states from initial states, those that are lost by simulation."""
+        found = find_steady_states(points, thetas, self._starts(points, thetas))
+        lost = ~found.found | (found.unstable & (not self.experiment.guess))
+        for i in np.flatnonzero(lost.any(axis=1)):
+            start = self._simulated(points, thetas[i], found.states[i], lost[i])
+            if start is not None:
+                which = np.arange(len(thetas)) == i
+                found = found.replaced(which, find_steady_states(points, thetas[which], start[None]))
+        return found
+
+    def _simulated(self, points: PointModel, theta: Floats, states: Floats, lost: Flags) -> Floats | None:
+        """Return states (K, n_x) with those of lost rows by simulation; None if they do not come to rest."""
         assert self.model is not None, "there are points"
-        start, simulation = found.states.copy(), SettledSimulation(self.model, self._inputs, points.states, self._units)
+        start, simulation = states.copy(), SettledSimulation(self.model, self._inputs, points.states, self._units)
         for row in np.flatnonzero(lost):
-            states = simulation.rest(int(row), theta)
-            if states is None:
-                return found
-            start[row] = states
-        return find_steady_states(points, theta, start)
+            values = simulation.rest(int(row), theta)
+            if values is None:
+                return None
+            start[row] = values
+        return start
 
     def _outputs(self, signals: Floats) -> Floats:
-        """Return the outputs (K, n_outputs) of signals (K, n)."""
-        own = dict(zip(self.signals, signals.T, strict=True))
+        """Return the outputs (m, K, n_outputs) of signals (m, K, n)."""
+        own = dict(zip(self.signals, np.moveaxis(signals, -1, 0), strict=True))
         if self.terminals is not None:
             own |= values_of_formulas(self.formulas, self._phasors(self.terminals, own))
-        return np.column_stack(
-            [in_data_units(self.system, self.experiment, name, own[name]) for name in self.output_names]
-        )
+        values = [in_data_units(self.system, self.experiment, name, own[name]) for name in self.output_names]
+        return np.stack(values, axis=-1)
 
     def _phasors(self, terminals: MachineTerminals, signals: Mapping[str, Floats]) -> OperatingPhasors:
-        voltages = np.array([self._input(name) for name in terminals.voltages])
+        voltages = np.array([self._input(name)[None] for name in terminals.voltages])
         currents = np.array([signals[name] for name in terminals.currents])
-        none = np.full(voltages.shape[1], np.nan)
+        none = np.full(voltages.shape[-1], np.nan)
         return OperatingPhasors(terminals, voltages + 0j, currents + 0j, 1.0, none, none, np.nan, np.nan)
 
     def _input(self, name: str) -> Floats:
@@ -193,7 +213,7 @@ def terminals_of(system: System, experiment: SteadyExperiment, formulas: Sequenc
 
 
 def values_of_formulas(names: Sequence[str], phasors: OperatingPhasors) -> dict[str, Floats]:
-    """Return the values (K,) of formulas."""
+    """Return the values (m, K) of formulas."""
     return {name: PHASOR_FORMULAS[name].value(phasors) for name in names}
 
 

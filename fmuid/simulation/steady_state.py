@@ -10,10 +10,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import cached_property
 
 import numpy as np
 
 from fmuid.array_types import Flags, Floats
+from fmuid.models import Phasors
 from fmuid.simulation.point_model import ModelOfPoints, PointModel, StateSpace
 from fmuid.simulation.simulator import Simulator
 
@@ -51,71 +53,118 @@ class SteadyIssue(Enum):
 
 @dataclass(frozen=True, eq=False)
 class SteadyStates:
-    """Steady states (K, n_x) of one theta, with linear models."""
+    """Steady states (m, K, n_x) of thetas, with linear models."""
 
     states: Floats
     models: StateSpace
-    found: Flags
+    found: Flags  # (m, K)
+
+    @cached_property
+    def unstable(self) -> Flags:
+        """Whether a state of each row (m, K) grows."""
+        values = _eigenvalues(self.models)
+        largest = np.abs(values).max(axis=-1, initial=0.0)
+        return np.asarray((values.real > SETTINGS.unstable * largest[..., None]).any(axis=-1))
+
+    def of(self, which: slice | Flags) -> SteadyStates:
+        """Return the steady states of some thetas (m,)."""
+        return SteadyStates(self.states[which], self.models.of(which), self.found[which])
+
+    def replaced(self, which: Flags, other: SteadyStates) -> SteadyStates:
+        """Return them with those of `other` for some thetas (m,)."""
+        states, found = self.states.copy(), self.found.copy()
+        states[which], found[which] = other.states, other.found
+        return SteadyStates(states, self.models.replaced(which, other.models), found)
 
 
-def find_steady_states(model: PointModel, theta: Floats, start: Floats) -> SteadyStates:
-    """Return the steady states from start (K, n_x); rows that end at none begin again at a neighbor's solution."""
-    found = settle(model, theta, start)
-    if found.found.any() and not found.found.all():
-        near = np.flatnonzero(found.found)
-        nearest = near[np.abs(np.arange(len(start))[:, None] - near).argmin(axis=1)]
-        return settle(model, theta, np.where(found.found[:, None], found.states, found.states[nearest]))
+def find_steady_states(model: PointModel, thetas: Floats, start: Floats) -> SteadyStates:
+    """Return the steady states of thetas (m, N) from start (m, K, n_x).
+
+    Rows that end at none begin again at a neighbor's solution.
+    """
+    found = settle(model, thetas, start)
+    again = np.asarray(found.found.any(axis=1) & ~found.found.all(axis=1))
+    if again.any():
+        start = found.states[again]
+        for states, there in zip(start, found.found[again], strict=True):
+            near = np.flatnonzero(there)
+            nearest = near[np.abs(np.arange(len(states))[:, None] - near).argmin(axis=1)]
+            states[~there] = states[nearest[~there]]
+        return found.replaced(again, settle(model, thetas[again], start))
     return found
 
 
+def steady_states_near(model: PointModel, thetas: Floats, near: Floats) -> SteadyStates:
+    """Return the steady states by Newton steps from near (K, n_x).
+
+    Thetas whose steps do not contract have rows that are not found.
+    """
+    states, last = np.repeat(near[None], len(thetas), axis=0), np.full((len(thetas), len(near)), np.inf)
+    while True:
+        models = model.at(states, thetas)
+        scale = np.maximum(np.abs(states), model.nominals)
+        moves = _ImplicitStep(models, scale, np.inf).solve(models.rates)
+        sizes = _norm(moves)
+        done = sizes <= SETTINGS.tolerance
+        alive = np.asarray((done | (sizes <= SETTINGS.contraction * last)).all(axis=1))
+        if done[alive].all():
+            return _moved(states, models, moves * scale, done)
+        states = states + np.where(alive[:, None, None], moves * scale, 0.0)
+        last = np.where(alive[:, None], sizes, 0.0)
+
+
 def settle(
-    model: PointModel,
-    theta: Floats,
-    start: Floats,
-    *,
-    by_newton: bool = False,
-    most_iterations: int = SETTINGS.most_iterations,
+    model: PointModel, thetas: Floats, start: Floats, most_iterations: int = SETTINGS.most_iterations
 ) -> SteadyStates:
-    """Iterate all rows, each with its own time step; `by_newton`, rows are lost where Newton does not contract."""
-    thetas, states = theta[None], start.copy()
+    """Iterate all rows from start (m, K, n_x) or (K, n_x), each with its own time step."""
+    states = np.array(np.broadcast_to(start, (len(thetas), *start.shape[-2:])))
     models = model.at(states, thetas)
     scale = np.maximum(np.abs(states), model.nominals)
     first = _first_time_step(models, scale)
-    step, last = np.full(len(states), np.inf), first
-    done, lost = np.zeros((2, len(states)), dtype=np.bool_)
+    step, last = np.full(first.shape, np.inf), first
+    done, lost = np.zeros((2, *first.shape), dtype=np.bool_)
     for _ in range(most_iterations):
         system = _ImplicitStep(models, scale, step)
-        moves = system.solve(models.rates[0])
-        sizes = _norm(moves / scale)
+        moves = system.solve(models.rates)
+        sizes = _norm(moves)
         newton, small = np.isinf(step), sizes <= SETTINGS.tolerance
         done |= newton & small
-        lost |= ~np.isfinite(models.rates[0]).all(axis=1) | (step < SETTINGS.least_step * first)
-        moving = ~done & ~lost
+        lost |= ~np.isfinite(models.rates).all(axis=-1) | (step < SETTINGS.least_step * first)
+        moving = ~(done | lost)
         if not moving.any():
             break
-        trial = np.where(moving[:, None] & np.isfinite(moves), states + moves, states)
+        goes = moving & np.isfinite(sizes)
+        trial = np.where(goes[..., None], states + moves * scale, states)
         others = model.at(trial, thetas)
-        correction = system.solve(others.rates[0] - moves / step[:, None])
-        contraction = _norm(correction / scale) / np.maximum(sizes, 1e-300)
-        better = moving & ((contraction <= SETTINGS.contraction) | (small & ~newton))
-        lost |= by_newton & moving & ~better
-        change = np.clip(0.5 * SETTINGS.contraction / np.maximum(contraction, 1e-9), *SETTINGS.change)
+        correction = system.solve(others.rates - moves * scale / step[..., None])
+        contraction = _norm(correction) / np.maximum(sizes, 1e-300)
+        better = (contraction <= SETTINGS.contraction) | (small & ~newton)
+        worse = moving & ~better
+        change = 0.5 * SETTINGS.contraction / np.maximum(contraction, 1e-9)
+        change = np.minimum(np.maximum(change, SETTINGS.change[0]), SETTINGS.change[1])
         longer = np.where(small | (step * change > SETTINGS.longest * first), np.inf, step * change)
         last = np.where(better & ~newton, step, np.where(newton, last, np.fmin(change, 0.5) * step))
-        step = np.where(better, longer, np.where(moving, last, step))
-        states = np.where(better[:, None], trial, states)
-        models = _chosen(better, others, models)
+        step = np.where(worse, last, np.where(moving, longer, step))
+        if worse.any():
+            trial = np.where(worse[..., None], states, trial)
+            others = others.replaced(worse, models.of(worse))
+        states, models = trial, others  # rows at rest have the same models
         scale = np.maximum(np.abs(states), model.nominals)
-    moves = np.where(done[:, None], np.nan_to_num(moves), 0.0)  # small: their squares are nothing
-    outputs = models.outputs + (models.c[0] @ moves[..., None])[None, ..., 0]
+    return _moved(states, models, moves * scale, done)
+
+
+def _moved(states: Floats, models: StateSpace, moves: Floats, done: Flags) -> SteadyStates:
+    """Return the steady states after the last moves, whose squares are nothing."""
+    moves = np.where(done[..., None], moves, 0.0)
+    outputs = models.outputs + (models.c @ moves[..., None])[..., 0]
     return SteadyStates(states + moves, replace(models, outputs=outputs), done)
 
 
 def _first_time_step(models: StateSpace, scale: Floats) -> Floats:
-    """Return a time step (K,) within which rates and states change little."""
-    scaled = np.abs(models.a[0] * scale[:, None] / scale[:, :, None]).sum(axis=2)
-    rates = np.abs(models.rates[0]) / scale
-    return np.asarray(1.0 / np.maximum(np.nan_to_num(np.maximum(scaled, rates)).max(axis=1, initial=0.0), 1e-300))
+    """Return a time step (m, K) within which rates and states change little."""
+    scaled = np.abs(models.a * scale[..., None, :] / scale[..., None]).sum(axis=-1)
+    rates = np.abs(models.rates) / scale
+    return np.asarray(1.0 / np.maximum(np.nan_to_num(np.maximum(scaled, rates)).max(axis=-1, initial=0.0), 1e-300))
 
 
 def is_at_rest(models: StateSpace, scale: Floats) -> Flags:
@@ -127,72 +176,64 @@ def is_at_rest(models: StateSpace, scale: Floats) -> Flags:
 class _ImplicitStep:
     """Linearly implicit Euler steps of all rows; of infinite time, Newton steps, the shortest where A is singular."""
 
-    def __init__(self, models: StateSpace, scale: Floats, step: Floats) -> None:
-        scaled = models.a[0] * scale[:, None] / scale[:, :, None]
-        self.scale, self.well = scale, np.isfinite(scaled).all(axis=(1, 2))
-        matrices = np.eye(scale.shape[1]) / step[:, None, None] - np.where(self.well[:, None, None], scaled, 0.0)
-        self.rows = np.abs(matrices).max(axis=2, initial=0.0)
-        self.unit = np.where(self.rows > 0.0, self.rows, 1.0)
-        self.matrices = matrices / self.unit[..., None]
-        self.inverses = _inverses(self.matrices)
+    def __init__(self, models: StateSpace, scale: Floats, step: Floats | float) -> None:
+        matrices = (np.eye(scale.shape[-1]) / np.asarray(step)[..., None, None] - models.a) * scale[..., None, :]
+        rows = np.abs(matrices).max(axis=-1, initial=0.0)
+        self._unknown = ~np.isfinite(rows).all(axis=-1)
+        if self._unknown.any():
+            matrices[self._unknown], rows[self._unknown] = np.eye(scale.shape[-1]), 1.0
+        self._unit = np.where(rows > 0.0, rows, 1.0)
+        self._allowed = np.where(rows > 0.0, SETTINGS.rest, 0.0)
+        self._matrices = matrices / self._unit[..., None]
+        self._inverses = _inverses(self._matrices)
 
     def solve(self, rates: Floats) -> Floats:
-        """Return the steps (K, n_x) for rates; NaN where none reaches them."""
-        well = self.well & np.isfinite(rates).all(axis=1)
-        right = np.where(well[:, None], rates, 0.0) / (self.scale * self.unit)
-        found = (self.inverses @ right[..., None])[..., 0]
-        rest = np.abs((self.matrices @ found[..., None])[..., 0] - right)
-        reached = well & (rest <= np.where(self.rows > 0.0, SETTINGS.rest, 0.0)).all(axis=1)
-        return np.where(reached[:, None], found * self.scale, np.nan)
+        """Return the steps (m, K, n_x) for rates, in sizes of the states; NaN where none reaches them."""
+        right = rates / self._unit
+        found = (self._inverses @ right[..., None])[..., 0]
+        rest = np.abs((self._matrices @ found[..., None])[..., 0] - right)
+        unreached = self._unknown | ~(rest <= self._allowed).all(axis=-1)
+        return np.where(unreached[..., None], np.nan, found)
 
 
 def _inverses(matrices: Floats) -> Floats:
-    """Return inverses (K, n, n), pseudo-inverses of singular matrices."""
+    """Return inverses (..., n, n), pseudo-inverses of singular matrices."""
     try:
         found = np.linalg.inv(matrices)
-        largest = np.abs(found).max(axis=(1, 2), initial=0.0)
-        singular = ~(largest * SETTINGS.singular < 1.0)
+        singular = ~(np.abs(found).max(axis=(-2, -1), initial=0.0) * SETTINGS.singular < 1.0)
     except np.linalg.LinAlgError:
-        found, singular = np.empty_like(matrices), np.ones(len(matrices), dtype=np.bool_)
+        found, singular = np.empty_like(matrices), np.ones(matrices.shape[:-2], dtype=np.bool_)
     if singular.any():
         found[singular] = np.linalg.pinv(matrices[singular], rcond=SETTINGS.singular)
     return np.asarray(found)
 
 
-def _chosen(which: Flags, new: StateSpace, old: StateSpace) -> StateSpace:
-    """Return the new models of some rows (K,), else the old ones."""
-    if which.all():
-        return new
-    parts = [
-        np.where(which.reshape(1, -1, *[1] * (one.ndim - 2)), one, other)
-        for one, other in zip(vars(new).values(), vars(old).values(), strict=True)
-    ]
-    return StateSpace(*parts)
-
-
 def _norm(steps: Floats) -> Floats:
-    return np.asarray(np.abs(steps).max(axis=1, initial=0.0))
+    return np.asarray(np.abs(steps).max(axis=-1, initial=0.0))
 
 
-def first_issue(
-    model: PointModel, theta: Floats, found: SteadyStates, *, first: bool, starts: Sequence[Floats]
+def _eigenvalues(models: StateSpace) -> Phasors:
+    return np.asarray(np.linalg.eigvals(np.nan_to_num(models.a)))
+
+
+def first_issue(found: SteadyStates) -> list[tuple[int, SteadyIssue] | None]:
+    """Return the first row without a usable steady state of each theta, and the reason."""
+    tests = (~found.found, SteadyIssue.NONE), (found.unstable, SteadyIssue.UNSTABLE)
+    return [
+        next(((int(rows[i].argmax()), issue) for rows, issue in tests if rows[i].any()), None)
+        for i in range(len(found.states))
+    ]
+
+
+def doubt(
+    model: PointModel, theta: Floats, found: SteadyStates, starts: Sequence[Floats]
 ) -> tuple[int, SteadyIssue] | None:
-    """Return the first row without a usable steady state, and the reason.
-
-    At the `first` theta, events are sought, and other steady states from `starts`.
-    """
-    tests = [(~found.found, SteadyIssue.NONE), (is_unstable(found.models), SteadyIssue.UNSTABLE)]
-    if first:
-        tests.append((model.events(found.states, theta), SteadyIssue.EVENT))
-        tests += [(_differs(model, theta, found, start), SteadyIssue.SEVERAL) for start in starts]
-    return next(((int(rows.argmax()), issue) for rows, issue in tests if rows.any()), None)
-
-
-def is_unstable(models: StateSpace) -> Flags:
-    """Return whether a state of each row (K,) grows."""
-    values = np.linalg.eigvals(np.nan_to_num(models.a[0]))
-    largest = np.abs(values).max(axis=1, initial=0.0)
-    return np.asarray((values.real > SETTINGS.unstable * largest[:, None]).any(axis=1))
+    """Return the first row with an event, or else another steady state from `starts`, of one theta."""
+    events = model.events(found.states[0], theta)
+    if events.any():
+        return int(events.argmax()), SteadyIssue.EVENT
+    others = _differs(model, theta, found, starts) if starts else np.zeros(0, dtype=np.bool_)
+    return (int(others.argmax()), SteadyIssue.SEVERAL) if others.any() else None
 
 
 def other_starts(model: PointModel, states: Floats) -> list[Floats]:
@@ -201,13 +242,13 @@ def other_starts(model: PointModel, states: Floats) -> list[Floats]:
     return [states + far, states - far]
 
 
-def _differs(model: PointModel, theta: Floats, found: SteadyStates, start: Floats) -> Flags:
-    """Return whether each row (K,) has another stable steady state, from start."""
+def _differs(model: PointModel, theta: Floats, found: SteadyStates, starts: Sequence[Floats]) -> Flags:
+    """Return whether each row (K,) has another stable steady state, from starts."""
     scale = np.maximum(np.abs(found.states), model.nominals)
-    other = settle(model, theta, start, most_iterations=SETTINGS.other_iterations)
+    thetas = np.tile(theta, (len(starts), 1))
+    other = settle(model, thetas, np.stack(starts), SETTINGS.other_iterations)
     apart = other.found & (_norm((other.states - found.states) / scale) > SETTINGS.same)
-    real = np.linalg.eigvals(np.nan_to_num(other.models.a[0])).real
-    return np.asarray(apart & (real < 0.0).all(axis=1))
+    return np.asarray((apart & (_eigenvalues(other.models).real < 0.0).all(axis=-1)).any(axis=0))
 
 
 @dataclass(frozen=True)

@@ -93,7 +93,7 @@ INLINE bool advance_all(Simulation *self, double now, double h, double until, bo
 INLINE bool walk_interval(Simulation *self, size_t sample) {
   const Plan *plan = self->plan;
   const double begin = self->grid->times[sample], end = self->grid->times[sample + 1], length = end - begin;
-  self->stepped = length <= 0.0 || self->grid->states;
+  self->stepped = length <= 0.0 || self->grid->n_states >= 0;
   if (self->stepped) return true; /* a time given twice: a step of the inputs */
   const int64_t n = self->grid->substeps[sample];
   const double h = n == 1 ? length : length / (double)n; /* a division is dear here */
@@ -128,7 +128,7 @@ INLINE bool record(Simulation *self, size_t sample) {
   self->now = self->grid->times[sample];
   self->substep = 0;
   set_inputs(self, sample, 0.0, HELD);
-  if (!settle_inputs(self) || (self->grid->states && !show_states(self, sample))) return false;
+  if (!settle_inputs(self) || (self->grid->n_states >= 0 && !show_states(self, sample))) return false;
   if (!perform(self, plan->outputs)) return false;
   if (plan->direct_outputs) return true;
   for (size_t j = 0; j < plan->n_outputs; j++) {
@@ -210,13 +210,17 @@ void simulate(const Plan *plan, const Grid *grid, size_t count, const double *th
               const atomic_int *cancel) {
   fenv_t environment;
   fegetenv(&environment);
+  const size_t n_states = grid->n_states > 0 ? (size_t)grid->n_states : 0;
+  const size_t given = plan->n_parameters + grid->n_times * n_states;
   bool spoiled = false;
   for (size_t i = 0; i < count; i++) {
     reports[i] = (Report){NOTHING, -1, UNDONE, -1, -1, NAN, NAN};
     if (spoiled) continue; /* the instance must not be touched any more */
     Simulation simulation = {.plan = plan, .grid = grid, .report = &reports[i], .cancel = cancel};
+    const double *theta = thetas + i * given;
+    simulation.states = theta + plan->n_parameters;
     simulation.outputs = outputs + i * grid->n_times * plan->n_outputs;
-    if (run(&simulation, thetas + i * plan->n_parameters)) reports[i].status = DONE_WELL;
+    if (run(&simulation, theta)) reports[i].status = DONE_WELL;
     spoiled = reports[i].failure >= 0 && reports[i].status > fmi2Error;
     fesetenv(&environment); /* what an FMU changes in the rounding of numbers ends with its simulation */
   }

@@ -7,7 +7,8 @@
 typedef struct {
   const Plan *plan;
   const Grid *grid;
-  double *outputs; /* (n_times, n_outputs) */
+  const double *states; /* (n_times, n_states), if they are given */
+  double *outputs;      /* (n_times, n_outputs) */
   Report *report;
   const atomic_int *cancel;
   double now;      /* time of the present communication point */
