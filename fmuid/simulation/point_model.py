@@ -74,7 +74,7 @@ class StateSpace:
         return StateSpace(*(each[which] for each in vars(self).values()))
 
     def replaced(self, which: Flags, other: StateSpace) -> StateSpace:
-        """Return them with those of `other` for some thetas (m,), or rows (m, K)."""
+        """Return them with other models of some thetas, or of rows."""
         parts = [each.copy() for each in vars(self).values()]
         for part, new in zip(parts, vars(other).values(), strict=True):
             part[which] = new
@@ -137,7 +137,10 @@ class PointModel:
         return self._initial(thetas)
 
     def at(self, states: Floats, thetas: Floats) -> StateSpace:
-        """Return the linear models about states (K, n_x), or (m, K, n_x), for thetas (m, N); NaN after a failure."""
+        """Return the linear models about states of thetas (m, N).
+
+        States are (K, n_x) or (m, K, n_x). NaN after a failure.
+        """
         if self._exact is None:
             return self._by_differences(states, thetas)
         n = len(self.states)

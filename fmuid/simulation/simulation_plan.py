@@ -177,7 +177,7 @@ class GridSimulation:
         self.plan = self.plan._replace(integrations=integrations)
 
     def job(self, thetas: Floats) -> SimulationJob:
-        """Return the job to simulate thetas (m, N), each followed by its given states (K n_x)."""
+        """Return the job to simulate thetas, with given states behind each."""
         outputs = np.empty((len(thetas), self.grid.times.size, len(self.output_names)))
         return SimulationJob(self, thetas, outputs, new_reports(len(thetas)))
 

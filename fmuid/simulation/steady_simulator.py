@@ -123,7 +123,7 @@ class SteadySimulator(PointSimulator):
         return found.models.outputs, issues
 
     def _doubt(self, points: PointModel, theta: Floats, found: SteadyStates, *, from_usual: bool) -> Issue:
-        """Return the issue of other steady states, unless they are told from a guess."""
+        """Return an event, or other steady states if there is no guess."""
         others = [self._usual] if self._usual is not None and not from_usual else []
         guessed = bool(self.experiment.guess)
         return doubt(points, theta, found, [] if guessed else [*others, *other_starts(points, found.states[0])])
@@ -152,7 +152,7 @@ class SteadySimulator(PointSimulator):
         return np.repeat(start[:, None], len(self.experiment.times), axis=1)
 
     def _found(self, points: PointModel, thetas: Floats) -> SteadyStates:
-        """Return the steady states from initial states, those that are lost by simulation."""
+        """Return steady states from initial states; simulate rows that are lost."""
         found = find_steady_states(points, thetas, self._starts(points, thetas))
         lost = ~found.found | (found.unstable & (not self.experiment.guess))
         for i in np.flatnonzero(lost.any(axis=1)):

@@ -78,7 +78,7 @@ class SteadyStates:
 
 
 def find_steady_states(model: PointModel, thetas: Floats, start: Floats) -> SteadyStates:
-    """Return the steady states of thetas (m, N) from start (m, K, n_x).
+    """Return the steady states from start (m, K, n_x).
 
     Rows that end at none begin again at a neighbor's solution.
     """
@@ -116,7 +116,7 @@ def steady_states_near(model: PointModel, thetas: Floats, near: Floats) -> Stead
 def settle(
     model: PointModel, thetas: Floats, start: Floats, most_iterations: int = SETTINGS.most_iterations
 ) -> SteadyStates:
-    """Iterate all rows from start (m, K, n_x) or (K, n_x), each with its own time step."""
+    """Iterate from start (m, K, n_x), each row with its time step."""
     states = np.array(np.broadcast_to(start, (len(thetas), *start.shape[-2:])))
     models = model.at(states, thetas)
     scale = np.maximum(np.abs(states), model.nominals)
@@ -161,7 +161,7 @@ def _moved(states: Floats, models: StateSpace, moves: Floats, done: Flags) -> St
 
 
 def _first_time_step(models: StateSpace, scale: Floats) -> Floats:
-    """Return a time step (m, K) within which rates and states change little."""
+    """Return time steps (m, K) within which little changes."""
     scaled = np.abs(models.a * scale[..., None, :] / scale[..., None]).sum(axis=-1)
     rates = np.abs(models.rates) / scale
     return np.asarray(1.0 / np.maximum(np.nan_to_num(np.maximum(scaled, rates)).max(axis=-1, initial=0.0), 1e-300))
@@ -188,7 +188,10 @@ class _ImplicitStep:
         self._inverses = _inverses(self._matrices)
 
     def solve(self, rates: Floats) -> Floats:
-        """Return the steps (m, K, n_x) for rates, in sizes of the states; NaN where none reaches them."""
+        """Return the steps (m, K, n_x) for rates, relative to the scale.
+
+        NaN where none reaches them.
+        """
         right = rates / self._unit
         found = (self._inverses @ right[..., None])[..., 0]
         rest = np.abs((self._matrices @ found[..., None])[..., 0] - right)
@@ -217,7 +220,7 @@ def _eigenvalues(models: StateSpace) -> Phasors:
 
 
 def first_issue(found: SteadyStates) -> list[tuple[int, SteadyIssue] | None]:
-    """Return the first row without a usable steady state of each theta, and the reason."""
+    """Return the first unusable row of each theta, and the reason."""
     tests = (~found.found, SteadyIssue.NONE), (found.unstable, SteadyIssue.UNSTABLE)
     return [
         next(((int(rows[i].argmax()), issue) for rows, issue in tests if rows[i].any()), None)
@@ -228,7 +231,7 @@ def first_issue(found: SteadyStates) -> list[tuple[int, SteadyIssue] | None]:
 def doubt(
     model: PointModel, theta: Floats, found: SteadyStates, starts: Sequence[Floats]
 ) -> tuple[int, SteadyIssue] | None:
-    """Return the first row with an event, or else another steady state from `starts`, of one theta."""
+    """Return the first row with an event, or another steady state."""
     events = model.events(found.states[0], theta)
     if events.any():
         return int(events.argmax()), SteadyIssue.EVENT
