@@ -7,7 +7,7 @@ largest |t| of all directions is simulated with their correlations. Size dᵀr/|
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -17,7 +17,7 @@ from scipy import special
 
 from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
-from fmuid.estimation import LeastSquares, ResidualNoise, Result, augmented
+from fmuid.estimation import LeastSquares, LinearizedProblem, ResidualNoise, Result, augmented
 from fmuid.identification.acquisition_delay import DELAY_PRIOR, delay_columns
 from fmuid.identification.feedback import find_feedback
 from fmuid.identification.model_errors import LEVEL, DirectedTest, Direction, ErrorKind, ModelError, ModelErrors
@@ -35,6 +35,7 @@ class DirectedTestSettings:
     most: int = 3  # errors named
     power: float = 0.95  # of records in which a detectable size shows
     checked: int = 3  # strongest unweighted directions, tested with the noise that is left beside them: ...
+    prior_share: float = 0.1  # usual error of a prior's mean, of the parameter's magnitude
     checked_share: float = 0.25  # ... they have this part of the level, for noise models that took an offset for noise
 
 
@@ -52,8 +53,10 @@ class WhitenedRows:
         self.is_colored = is_colored(noise)
         self.raw = np.column_stack([local.residual, -local.jacobian, columns])
         self.prior = np.column_stack([local.prior_residual, -local.prior_jacobian])
+        none = np.zeros(len(self.prior))
+        priors = np.stack([each.prior if each.prior.size else none for each in directions], axis=1)
         self.shift = np.nan_to_num(_response(problem, result, columns) / result.std[:, None])
-        beside = np.hstack([self.prior, np.zeros((len(self.prior), len(directions)))])
+        beside = np.hstack([self.prior, priors])
         rows, first = np.vstack([whitened(noise, self.raw), beside]), 1 + len(result.names)
         self.residual, self.sensitivities, self.columns = rows[:, 0], rows[:, 1:first], rows[:, first:]
         self.innovations = self.residual[: len(self.raw)]
@@ -143,7 +146,8 @@ def _wald_score(rows: WhitenedRows, chosen: Sequence[int]) -> float:
     """Return the normal score of the last direction, freed beside the others: its size over σ of the noise left."""
     local = rows.result.fit.linearization
     assert local is not None, "checked before"
-    freed = augmented(local, rows.raw[:, [1 + len(rows.result.names) + j for j in chosen]])
+    seen = [j for j in chosen if rows.directions[j].kind is not ErrorKind.PRIOR]
+    freed = augmented(local, rows.raw[:, [1 + len(rows.result.names) + j for j in seen]])
     found = freed.sandwich(rows.problem)
     wald = float(freed.step[-1] / math.sqrt(found.covariance[-1, -1]))
     return float(np.sign(wald) * normal_scores(np.array([abs(wald)]), float(found.freedom[-1]))[0])
@@ -210,6 +214,7 @@ def find_model_errors(problem: LeastSquares, result: Result) -> ModelErrors | No
     directions = problem.directions(result)
     if not directions:
         return None
+    directions = (*directions, *_prior_directions(result, local))
     rows = WhitenedRows(problem, result, directions)
     first = found = score_directions(rows)
     known: list[int] = []
@@ -223,7 +228,17 @@ def find_model_errors(problem: LeastSquares, result: Result) -> ModelErrors | No
         errors.append(ModelError(strongest, tuple(alternatives)))
         known.append(found.index(strongest))
         found = score_directions(rows, known)
-    return ModelErrors(result.names, tuple(first), tuple(errors), feedback=find_feedback(problem, rows.innovations))
+    tests = tuple(each for each in first if each.direction.kind is not ErrorKind.PRIOR)  # intervals have the prior's σ
+    return ModelErrors(result.names, tests, tuple(errors), feedback=find_feedback(problem, rows.innovations))
+
+
+def _prior_directions(result: Result, local: LinearizedProblem) -> Iterator[Direction]:
+    """Yield a wrong mean of each parameter's prior, in its standard deviations."""
+    for i, (name, std) in enumerate(zip(result.names, result.estimates.prior_std.tolist(), strict=True)):
+        if math.isfinite(std) and local.prior_jacobian[:, i].any():
+            usual = max(1.0, SETTINGS.prior_share * float(local.magnitudes[i]) / std)
+            own = -std * local.prior_jacobian[:, i]
+            yield Direction(ErrorKind.PRIOR, (name,), "σ", usual, column=np.zeros(len(local.residual)), prior=own)
 
 
 def _is_alternative(test: DirectedTest, strongest: DirectedTest) -> bool:

@@ -53,6 +53,7 @@ class ErrorKind(Enum):
     STEP = "step"  # a parameter changes between the halves of the record
     INITIAL_STATE = "initial_state"
     FIXED = "fixed"  # a fixed parameter has another value
+    PRIOR = "prior"  # the mean of a parameter's prior is elsewhere
 
     @property
     def is_relative(self) -> bool:
@@ -144,6 +145,8 @@ class Direction:
         Assumed value of a fixed parameter, else NaN.
     column : (n,) array
         Change of the counted samples by one unit; over one experiment (K, n_y).
+    prior : (q,) array
+        Change of the prior's residual by one unit; empty: none.
     """
 
     kind: ErrorKind
@@ -153,8 +156,9 @@ class Direction:
     one_sided: bool = False
     value: float = math.nan
     column: Floats = field(default_factory=lambda: np.zeros(0))
+    prior: Floats = field(default_factory=lambda: np.zeros(0))
 
-    json_layout: ClassVar = Layout(omitted={"column"})
+    json_layout: ClassVar = Layout(omitted={"column", "prior"})
 
     @property
     def key(self) -> ErrorKey:
@@ -254,6 +258,11 @@ class ModelError:
     def kinds(self) -> frozenset[ErrorKind]:
         """Kinds of the error and its alternatives."""
         return frozenset(each.kind for each in (self.test.direction, *self.alternatives))
+
+    @property
+    def may_be_freed(self) -> bool:
+        """False if a prior explains as much: a conflict of prior and data changes no interval."""
+        return ErrorKind.PRIOR not in self.kinds
 
     @property
     def is_explained(self) -> bool:

@@ -177,7 +177,7 @@ def _freed(problem: LeastSquares, result: Result, found: ModelErrors, progress: 
     """Return the result with errors freed one after the other."""
     count, now = len(result.names), found
     taken: Fitted | None = None
-    while now.errors and (taken is None or len(taken[0]) < SETTINGS.most_errors):
+    while _free(now) and (taken is None or len(taken[0]) < SETTINGS.most_errors):
         more = _extended(problem, result, [] if taken is None else taken[0], now, progress)
         if more is None:
             break
@@ -199,6 +199,11 @@ def _freed(problem: LeastSquares, result: Result, found: ModelErrors, progress: 
     now = replace(now, names=result.names, tests=tests, errors=rest, freed=tuple(freed))
     interval = usual_step(problem.experiments[0].times) or math.nan
     return Refit(corrected, again, replace(now, covariance=again.covariance[count:], interval=interval))
+
+
+def _free(found: ModelErrors) -> list[ModelError]:
+    """Return the errors that a refit may free, the strongest first."""
+    return [each for each in found.errors if each.may_be_freed]
 
 
 def _tested(fitted: Fitted, before: ModelErrors) -> ModelErrors:
@@ -257,7 +262,7 @@ def _pruned(problem: LeastSquares, result: Result, found: Fitted, progress: Prog
 
 def _candidates(found: ModelErrors) -> list[ModelError]:
     """Return the strongest error and those with close scores."""
-    first = found.errors[0]
+    first = _free(found)[0]
     least = SETTINGS.close_share * first.test.score**2
     close = sorted((each for each in found.tests if each.score**2 > least), key=lambda each: -abs(each.score))
     others = [ModelError(each) for each in close if each.direction.key != first.test.direction.key]

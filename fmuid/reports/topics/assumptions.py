@@ -68,6 +68,9 @@ class ModelErrorMessage(Message, section="hiding"):
     STEP = doubt("{first} changes by {size} at half time", remedy="Split the record.")
     INITIAL_STATE = doubt("initial {first} is off by {size}", "the record starts in motion", "Set a longer `warmup`.")
     FIXED = doubt("fixed {first} is off by {size}", remedy="Free {first}.")
+    PRIOR = doubt(
+        "prior of {first} is off by {size}", "or what stands beside it", "Check the prior of {first}, and the sensors."
+    )
 
 
 class DefectMessage(Message, section="residuals"):
