@@ -31,7 +31,7 @@ def problem_with(
 @pytest.mark.parametrize("draw", range(DRAWS))
 def test_a_wrong_prior_is_named_beside_gains_and_moves_nothing_else(draw: int) -> None:
     """A prior of R 10 % off: freed gains would give L 10 % off, without a word of the prior."""
-    found = found_in(problem_with(draw, R=fmuid.Normal(1.1 * R, 0.01 * R)))
+    found = found_in(problem_with(draw, {"R": fmuid.Normal(1.1 * R, 0.01 * R)}))
     assert found.names and ErrorKind.PRIOR in found.names[0] and GAINS & found.names[0]
     assert found.verdict.grade is Grade.DOUBTFUL and Reason.PRIOR_DATA_CONFLICT in found.verdict.reasons
     assert not found.verdict.freed
@@ -43,8 +43,8 @@ def test_a_wrong_prior_is_named_beside_gains_and_moves_nothing_else(draw: int) -
 def test_a_gain_that_priors_contradict_is_freed(draw: int) -> None:
     """Both parameters would have to be 10 % off: one sensor explains it better than two priors."""
     priors = {"R": fmuid.Normal(R, 0.01 * R), "L": fmuid.Normal(L, 0.01 * L)}
-    assert found_in(problem_with(draw, **priors)).verdict.grade is Grade.PASSED
-    found = found_in(problem_with(draw, gain=1.1, **priors))
+    assert found_in(problem_with(draw, priors)).verdict.grade is Grade.PASSED
+    found = found_in(problem_with(draw, priors, gain=1.1))
     assert found.names and found.names[0] & GAINS and ErrorKind.PRIOR not in found.names[0]
     assert (np.abs(found.values - [R, L]) < 4.0 * found.std).all()
 
@@ -54,8 +54,8 @@ def test_score_of_a_prior_is_the_cost_that_it_brings() -> None:
     variance = float(np.mean(records("honest", COUNT, 0.0, DRAWS)[1][0] ** 2) / 31.0)
     right = fmuid.Normal(R, 0.01 * R)
     problems = [
-        problem_with(0, noise=fmuid.Noise(variance, delay_std=0.0), R=right, **own)
-        for own in ({"L": fmuid.Normal(1.1 * L, 0.01 * L)}, {})
+        problem_with(0, {"R": right, **own}, noise=fmuid.Noise(variance, delay_std=0.0))
+        for own in ({"L": fmuid.Normal(1.1 * L, 0.01 * L)}, dict[str, fmuid.Normal]())
     ]
     wrong, free = (fmuid.identify(each) for each in problems)
     found = find_model_errors(problems[0], wrong)
