@@ -17,7 +17,7 @@ GAINS = {ErrorKind.GAIN, ErrorKind.INPUT_GAIN}
 
 
 def problem_with(
-    draw: int, gain: float = 1.0, noise: fmuid.Noise | None = None, **priors: fmuid.Normal
+    draw: int, priors: dict[str, fmuid.Normal], gain: float = 1.0, noise: fmuid.Noise | None = None
 ) -> fmuid.Problem:
     """Return a sound coil, but for its sensor's gain, with priors of its parameters."""
     u, i = (each[draw] for each in records("honest", COUNT, 0.0, DRAWS))
