@@ -28,7 +28,7 @@ from .losses import robust_variance as robust_variance
 from .measured_series import MeasuredSeries as MeasuredSeries
 from .measured_series import measured_series as measured_series
 from .nameplate import Nameplate as Nameplate
-from .nameplate import Printed as Printed
+from .nameplate import PrintedNumber as PrintedNumber
 from .noise import Noise as Noise
 from .noise import noise_levels as noise_levels
 from .noise import response_of as response_of

@@ -23,7 +23,7 @@ MOST_SLIP = 0.2
 
 
 @dataclass(frozen=True)
-class Printed:
+class PrintedNumber:
     """Printed number, and half a step of its last digit."""
 
     value: float
@@ -82,7 +82,7 @@ class Nameplate:
             )
 
     @property
-    def printed(self) -> dict[str, Printed]:
+    def printed(self) -> dict[str, PrintedNumber]:
         """Given numbers by key."""
         given = {name: getattr(self, name) for name in UNITS}
         return {name: _read(name, value) for name, value in given.items() if value is not None}
@@ -94,14 +94,14 @@ class Nameplate:
         return max(1, int(60.0 * printed["f"].value / printed["n"].value))
 
     @property
-    def slip(self) -> Printed:
+    def slip(self) -> PrintedNumber:
         """Rated slip."""
         printed = self.printed
         turn = self.pole_pairs / (60.0 * printed["f"].value)
-        return Printed(1.0 - turn * printed["n"].value, turn * printed["n"].half)
+        return PrintedNumber(1.0 - turn * printed["n"].value, turn * printed["n"].half)
 
 
-def _read(name: str, given: str | float) -> Printed:
+def _read(name: str, given: str | float) -> PrintedNumber:
     """Return a printed number."""
     text = (
         given.replace(",", ".")
@@ -124,4 +124,4 @@ def _read(name: str, given: str | float) -> Printed:
             raise InputError(f"{name}: unit {said!r} does not convert to {UNITS[name] or 'a plain number'!r}.")
         factor = own.factor / wanted.factor
     digits = found[2] if found[2] is not None else found[3]
-    return Printed(float(found[1]) * factor, 0.5 * 10.0 ** -len(digits or "") * factor)
+    return PrintedNumber(float(found[1]) * factor, 0.5 * 10.0 ** -len(digits or "") * factor)

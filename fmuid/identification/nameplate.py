@@ -19,7 +19,7 @@ from fmuid.data import (
     Noise,
     Normal,
     Parameter,
-    Printed,
+    PrintedNumber,
     RotatingFrame,
     SteadyExperiment,
     evaluate,
@@ -81,7 +81,7 @@ class _Plate:
         return np.array([(found[name] - each.value) / each.std for name, each in self.compared.items()])
 
     @property
-    def compared(self) -> dict[str, Printed]:
+    def compared(self) -> dict[str, PrintedNumber]:
         """Printed numbers that depend on the parameters."""
         return {name: each for name, each in self.printed.items() if name not in ("U", "f")}
 

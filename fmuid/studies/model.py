@@ -77,7 +77,7 @@ class ParsedModel:
 # --- [model] ----------------------------------------------------------------------------
 
 
-class NumericsSection(StudySection):
+class SolverSection(StudySection):
     """Solver of an FMU."""
 
     interface: Annotated[str, kinds.one_of(KINDS)] | None = entry(
@@ -104,7 +104,7 @@ class NumericsSection(StudySection):
         return Numerics(self.interface, self.solver, self.tolerance, self.step_size, most_steps=self.max_solver_steps)
 
 
-class ComponentSection(NumericsSection):
+class ComponentSection(SolverSection):
     """One of several coupled FMUs."""
 
     name: kinds.Text = entry(..., "prefix of its variables")
@@ -148,7 +148,7 @@ Held = Annotated[
 ]
 
 
-class ModelSection(NumericsSection):
+class ModelSection(SolverSection):
     """Model: one FMU, or several coupled ones."""
 
     fmu: kinds.File | None = entry(None, "the FMU, or an SSP package, .ssp")

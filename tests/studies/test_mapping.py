@@ -30,7 +30,7 @@ from fmuid.studies import (
 from fmuid.studies.init.column_matching import guess
 from fmuid.studies.init.lines import LINE_LENGTH
 from fmuid.studies.init.parameter_survey import ParameterProposal, bounds
-from fmuid.studies.model import NumericsSection
+from fmuid.studies.model import SolverSection
 from tests.support.coil_study import COIL, coil_table, fmuid_
 from tests.support.fmu_texts import FMI2, FMI3, write_fmu
 from tests.support.paths import FMUS
@@ -235,7 +235,7 @@ def test_solver_keys(kind: str, expected: set[str], tmp_path: Path) -> None:
     found = tomllib.loads(re.sub(r"^# (?=\w+ = )", "", section, flags=re.MULTILINE))["model"]
     assert found.pop("fmu") == "Model.fmu"
     assert found.keys() == expected
-    fmuid.Component(fmu, NumericsSection(**found).numerics)
+    fmuid.Component(fmu, SolverSection(**found).numerics)
     if "solver" in expected:
         assert [name for name in INTEGRATORS if f'"{name}"' not in said] == []
         assert f'default: "{DEFAULT_INTEGRATOR}"' in said

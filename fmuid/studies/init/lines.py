@@ -7,7 +7,7 @@ from textwrap import shorten
 
 from fmuid.models import FMU, Description, Variable
 from fmuid.studies.init.column_matching import of_tables
-from fmuid.studies.model import NumericsSection
+from fmuid.studies.model import SolverSection
 from fmuid.studies.section import keys_of, own_first, summary, table_of
 from fmuid.studies.study_file import StudyFile
 from fmuid.studies.toml import quoted_key, show, toml_text
@@ -50,8 +50,8 @@ def numerics(description: Description, *, lags: bool = False) -> list[str]:
     """Return the solver keys, commented out unless Co-Simulation `lags`."""
     both, exchanges = len(description.interfaces) > 1, "model-exchange" in description.interfaces
     chosen = 'interface = "model-exchange"  # co-simulation fails or takes over ten times as long'
-    lines = ([chosen] if lags else [example(NumericsSection, "interface")]) if both else []
-    return lines + [example(NumericsSection, word) for word in (*["solver"] * exchanges, "tolerance", "step_size")]
+    lines = ([chosen] if lags else [example(SolverSection, "interface")]) if both else []
+    return lines + [example(SolverSection, word) for word in (*["solver"] * exchanges, "tolerance", "step_size")]
 
 
 def rest(known: Sized = ()) -> list[str]:
