@@ -279,7 +279,7 @@ def _object_of(content: Any, place: str) -> dict[str, Any]:
 
 def _refuse(place: str, content: Any, wanted: str) -> Any:
     shown = bounded(place.lstrip(".") or "it", _PLACE_SHOWN)
-    raise ContentError(f"{shown}: the value should be {wanted}, not {bounded(json.dumps(content), 60)}")
+    raise ContentError(f"{shown}: the value should be {wanted}, not {bounded(json.dumps(content, default=str), 60)}")
 
 
 def write(path: Path, schema_name: str, content: Any, **more: Any) -> Path:

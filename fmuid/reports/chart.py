@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -17,7 +17,6 @@ Color = Literal["ink", "grey", "faint", "white", "blue", "red", "amber"]
 Dash = Literal["solid", "dashed", "dotted"]
 Data: TypeAlias = Mapping[str, Floats | tuple[str, ...] | float]
 Units = Mapping[str, str | None]
-WITH_ARRAYS = {"arbitrary_types_allowed": True}  # for pydantic, which reads documents back
 
 
 @dataclass(frozen=True)
@@ -47,8 +46,6 @@ ROW, ROW_BELOW, ROW_LINE = 28, 20, 28
 class Shades:
     """Color scale of values; a color bar is drawn with a title."""
 
-    __pydantic_config__: ClassVar[Mapping[str, bool]] = WITH_ARRAYS
-
     palette: Literal["diverging", "blues"]
     low: float
     high: float
@@ -64,8 +61,6 @@ class Layer:
     x1, y1; ``bars`` from x0 to x in row y; ``cells`` have left, right, bottom, top or the names x and y; ``rule`` has
     x or y; ``zone`` has some of the sides.
     """
-
-    __pydantic_config__: ClassVar[Mapping[str, bool]] = WITH_ARRAYS
 
     mark: Mark
     data: Data  # columns of one length and common numbers: coordinates, size, alpha, value, text, ink, hover columns
@@ -105,8 +100,6 @@ DENSITY = Axis(reach=(0.0, None), shown=False)  # the ordinate of a density
 class Chart:
     """Layers over two axes, painted in their order."""
 
-    __pydantic_config__: ClassVar[Mapping[str, bool]] = WITH_ARRAYS
-
     x: Axis
     y: Axis
     layers: tuple[Layer, ...]
@@ -129,8 +122,6 @@ class Chart:
 @dataclass(frozen=True, eq=False)
 class ChartGrid:
     """Charts in rows and columns that are read together."""
-
-    __pydantic_config__: ClassVar[Mapping[str, bool]] = WITH_ARRAYS
 
     rows: tuple[tuple[Chart | None, ...], ...]
     # returns the same grid with the data of an interval of the abscissa

@@ -6,10 +6,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import PurePosixPath
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from fmuid.display_mixins import renderer
-from fmuid.reports.chart import WITH_ARRAYS, Figure
+from fmuid.reports.chart import Figure
 
 if TYPE_CHECKING:
     from fmuid.runs import Provenance
@@ -126,8 +126,6 @@ class Document:
     origin, study, title : tuple of Column, str, str
         Provenance, study file and its title.
     """
-
-    __pydantic_config__: ClassVar[Mapping[str, bool]] = WITH_ARRAYS
 
     kind: str
     heading: str

@@ -114,9 +114,17 @@ def test_report_command_writes_the_same_report(
     assert fmuid_("report", folder) == DONE
     assert "report.html" in capsys.readouterr().out
     assert Page(folder / "report.html").words.split() == page.words.split()
-    for spoilt in ("[]", "{}", "{", '{"documents": {"a": 1}, "arrays": []}'):
+    of_document = '{"schema": "fmuid/document/1", '
+    for spoilt, said in (
+        ("[]", "has no JSON object"),
+        ("{}", "is of no schema"),
+        ("{", "is not JSON"),
+        (of_document + '"documents": {}}', "cannot be right: KeyError: 'arrays'"),
+        (of_document + '"documents": {"a": 1}, "arrays": []}', "cannot be right: a: the value should be an object"),
+    ):
         (folder / DOCUMENT_FILE).write_text(spoilt)
         assert fmuid_("report", folder) == WRONG_INPUT
-        assert "document.json is not what fmuid writes" in capsys.readouterr().err
+        error = capsys.readouterr().err
+        assert f"document.json {said}" in error and "run the command again that has written it" in error
     assert fmuid_("report", tmp_path / "nowhere") == WRONG_INPUT
     assert "is no folder of results" in capsys.readouterr().err

@@ -5,23 +5,20 @@ from __future__ import annotations
 import base64
 import dataclasses
 import json
-import math
 from collections.abc import Mapping
-from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from fmuid import codec
 from fmuid.errors import InputError
 from fmuid.files import is_file, replacing
 from fmuid.reports.document import Document
 
-if TYPE_CHECKING:
-    from pydantic import TypeAdapter
-
 DOCUMENT_FILE = "document.json"
 SCHEMA = "fmuid/document/1"
+AGAIN = "run the command again that has written it"
 _DTYPES = {"float32": "<f4", "float64": "<f8"}
 
 
@@ -60,29 +57,16 @@ def table_json(document: Document) -> str:
 
 def read_documents(folder: Path) -> dict[str, Document]:
     """Return the documents of a folder by their kind."""
-    from pydantic import ValidationError
-
     path = folder / DOCUMENT_FILE
     if not is_file(path):
         raise InputError(f"{folder} has no {DOCUMENT_FILE}: give the folder that a command has written into")
+    content = codec.content_of(path, SCHEMA, AGAIN)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
         arrays = [np.frombuffer(base64.b64decode(each["data"]), _DTYPES[each["dtype"]]) for each in content["arrays"]]
-        return _checker().validate_python(_decoded(content["documents"], arrays))
-    except ValidationError as error:
-        first = error.errors()[0]
-        wrong = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
-    except (OSError, ValueError, RecursionError, KeyError, TypeError, IndexError, AttributeError) as error:
-        wrong = f"{type(error).__name__}: {error}"
-    raise InputError(f"{path} is not what fmuid writes ({wrong}): run the command again that has written it")
-
-
-@cache
-def _checker() -> TypeAdapter[dict[str, Document]]:
-    """Return the checker of documents, which is slow to make."""
-    from pydantic import TypeAdapter
-
-    return TypeAdapter(dict[str, Document])
+        documents = _decoded(content["documents"], arrays)
+    except (ValueError, RecursionError, KeyError, TypeError, IndexError) as error:
+        raise InputError(f"{path} cannot be right: {type(error).__name__}: {error}; {AGAIN}") from None
+    return codec.decoded(path, documents, dict[str, Document], AGAIN)
 
 
 def _encoded(value: Any, arrays: list[np.ndarray[Any, Any]], known: dict[int, int]) -> Any:
@@ -92,18 +76,14 @@ def _encoded(value: Any, arrays: list[np.ndarray[Any, Any]], known: dict[int, in
                 known[id(value)] = len(arrays)
                 arrays.append(value if value.dtype.name in _DTYPES else value.astype(np.float64))
             return {"array": known[id(value)]}
-        case np.generic():
-            return _encoded(value.item(), arrays, known)
-        case float() if not math.isfinite(value):
-            return {"number": repr(value)}
         case Mapping():
             return {str(key): _encoded(each, arrays, known) for key, each in value.items()}
         case tuple() | list():
             return [_encoded(each, arrays, known) for each in value]
         case frozenset():
             return sorted(value)
-        case None | bool() | int() | float() | str():
-            return value
+        case None | bool() | int() | float() | str() | np.generic():
+            return codec.as_json(value)
         case _ if dataclasses.is_dataclass(value) and not isinstance(value, type):
             return {
                 each.name: _encoded(found, arrays, known)
@@ -124,7 +104,5 @@ def _decoded(value: Any, arrays: list[np.ndarray[Any, Any]]) -> Any:
     if isinstance(value, dict):
         if value.keys() == {"array"}:
             return arrays[value["array"]]
-        if value.keys() == {"number"}:
-            return float(value["number"])
         return {key: _decoded(each, arrays) for key, each in value.items()}
     return [_decoded(each, arrays) for each in value] if isinstance(value, list) else value
