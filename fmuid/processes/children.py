@@ -96,11 +96,13 @@ def watch_lifeline(end: Callable[[], object]) -> threading.Thread:
 
 
 def search_path() -> list[str]:
-    """Return the module search path without current and script folder; fmuid's folder is added."""
+    """Return the module search path without current and script folder; fmuid's folder is before another fmuid."""
     script = getattr(sys.modules.get("__main__"), "__file__", None)
     around = {_real(Path()), *([_real(Path(script).parent)] if script else [])}
     kept = [each for each in sys.path if Path(each).is_absolute() and _real(Path(each)) not in around]
-    return list(dict.fromkeys([*kept, str(Path(__file__).absolute().parents[2])]))
+    others = (k for k, each in enumerate(kept) if Path(each, "fmuid").is_dir())
+    at = next(others, len(kept))
+    return list(dict.fromkeys([*kept[:at], str(Path(__file__).absolute().parents[2]), *kept[at:]]))
 
 
 def _real(path: Path) -> str:

@@ -134,6 +134,9 @@ def test_search_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     around = ["", ".", "lib", str(tmp_path), str(tmp_path / "scripts" / ".." / "scripts")]
     monkeypatch.setattr(sys, "path", [*around, str(tmp_path / "lib")])
     assert search_path() == [str(tmp_path / "lib"), own]
+    (tmp_path / "older" / "fmuid").mkdir(parents=True)  # installed beside
+    monkeypatch.setattr(sys, "path", [str(tmp_path / each) for each in ("lib", "older", "more")])
+    assert search_path() == [str(tmp_path / "lib"), own, *(str(tmp_path / each) for each in ("older", "more"))]
     monkeypatch.setattr(sys, "path", [*around, own, str(tmp_path / "lib")])
     assert search_path() == [own, str(tmp_path / "lib")]
     (tmp_path / "gone").mkdir()
