@@ -135,7 +135,7 @@ class HidingMessage(Message, section="hiding"):
     FREED = plain("Freed in this result: {error}.", "the size is a parameter of the fit; intervals include it")
     PROCESS_NOISE = plain(
         "Noise looks like a disturbance of {states} ({share} of its variance).",
-        "such as a load or voltage that is no input: σ allows for its color",
+        "a load or voltage that is no input; σ allows for its color",
     )
     NONE = plain(
         "No model error found in {count} directions (level {level}).",

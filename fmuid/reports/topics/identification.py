@@ -54,7 +54,7 @@ class RunMessage(Message):
     NOISE = plain("Residual: {noise}.")
     INFORMATION = plain(
         "Likelihood: χ² {chi}, {dof} degrees of freedom; −2 ln L {twice}; AIC {aic}; BIC {bic}.",
-        "with the noise variance that the fit used; estimated variances count as parameters",
+        "with the noise variance of the fit; estimated variances are parameters",
     )
     INTERRUPTED = bad("Interrupted: the checks of [uncertainty] are incomplete.", remedy="Continue with `--resume`.")
 
