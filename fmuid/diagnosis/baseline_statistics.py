@@ -17,6 +17,7 @@ from fmuid.diagnosis.causes import CauseKind, ChangeParameterSet, line_scale
 from fmuid.diagnosis.information_matrix import ChangePrior, InformationMatrix, Whitening
 from fmuid.diagnosis.linearized_machine import LinearizedMachine, residual_and_columns
 from fmuid.diagnosis.noise_ratios import NoiseRatios
+from fmuid.diagnosis.onset_tracker import OnsetTracker
 from fmuid.diagnosis.operating_points import OperatingPoints
 from fmuid.diagnosis.population import Population, Scales, tempered
 from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUAL
@@ -35,6 +36,13 @@ class BaselineStatistics:
     basis: BaselineSource = BaselineSource.RESULT
     population: Population | None = None
     points: OperatingPoints | None = None
+
+    def tracker(self) -> OnsetTracker:
+        """Return a tracker before any window: each may be at an operating point of its own."""
+        drift, healthy = np.diag(self.drift**2), self.population
+        if healthy is None or not healthy.scatter.any():
+            return OnsetTracker(self.known, drift)
+        return OnsetTracker(self.known, drift + healthy.scatter, healthy.scatter, healthy.records - 1.0)
 
     @classmethod
     def of(

@@ -48,6 +48,12 @@ def log_tail(statistics: Floats, degrees: int) -> Floats:
     return np.where(np.isfinite(tail), tail, far)
 
 
+def as_normal(statistics: Floats, freedom: Floats) -> Floats:
+    """Return the χ² that is as rare as statistics with an F law; exact for two coordinates (Wallace, 1959)."""
+    few = np.minimum(freedom, 1e9)
+    return np.asarray(few * np.log1p(statistics / few))
+
+
 def log_chances(statistics: Floats, causes: Sequence[Cause]) -> Floats:
     """Return `log_chance` of several causes: of statistics (T, m), one column a cause."""
     return np.column_stack([log_chance(own, cause) for own, cause in zip(statistics.T, causes, strict=True)])

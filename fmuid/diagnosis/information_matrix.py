@@ -136,7 +136,11 @@ class ChangePrior:
 
     def drifting(self, std: Floats) -> ChangePrior:
         """Return the distribution after drift with a standard deviation (N,)."""
-        return ChangePrior(self.mean, self.covariance + np.diag(std**2))
+        return self.scattering(np.diag(std**2))
+
+    def scattering(self, covariance: Floats) -> ChangePrior:
+        """Return the distribution with one more independent change."""
+        return ChangePrior(self.mean, self.covariance + covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,6 +190,16 @@ class ScoreStatistics:
         """Return information and score of some coordinates, the others unchanged."""
         at = list(columns)
         return self.information[at][:, at], self.score[at]
+
+
+def square_root(covariance: Floats) -> Floats:
+    """Return L (N, r) with LLᵀ = covariance (N, N), scaled before it is decomposed."""
+    std = np.sqrt(np.diag(covariance))
+    there = np.flatnonzero(std)
+    values, vectors = np.linalg.eigh(covariance[np.ix_(there, there)] / np.outer(std[there], std[there]))
+    root = np.zeros((std.size, there.size))
+    root[there] = std[there, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    return root
 
 
 def is_determined(news: ScoreStatistics, said: InformationMatrix, columns: Sequence[int]) -> bool:

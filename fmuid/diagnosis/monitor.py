@@ -94,7 +94,9 @@ class Monitor:
         self._against: MonitorReference | None = None
         self._machine: LinearizedMachine | None = None
         self._resumed = MonitorSnapshot()
-        self._now = MonitorState(OnsetTracker(ChangePrior(np.zeros(0), np.zeros((0, 0))), np.zeros(0)), np.zeros(0))
+        self._now = MonitorState(
+            OnsetTracker(ChangePrior(np.zeros(0), np.zeros((0, 0))), np.zeros((0, 0))), np.zeros(0)
+        )
 
     @single_threaded
     def add(self, record: Experiment, progress: Progress | None = None, *, grows: bool = False) -> pd.DataFrame:
@@ -153,7 +155,7 @@ class Monitor:
         if self._against is None:
             causes = self.causes if self.baseline.beside else None
             made = BaselineComparator.of(self.system, self.baseline, self.faults, causes, [record])
-            watch = OnsetTracker(made.healthy.known, made.healthy.drift)
+            watch = made.healthy.tracker()
             if self._resumed.sums and self._journal is not None:
                 with damage_of(self._journal.folder / STATE_FILE):
                     watch = watch.restored(self._resumed.sums)

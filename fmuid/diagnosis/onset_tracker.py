@@ -19,7 +19,7 @@ import numpy as np
 
 from fmuid.array_types import Flags, Floats, Indices
 from fmuid.diagnosis.causes import Cause
-from fmuid.diagnosis.information_matrix import LEAST, ChangePrior, InformationMatrix, ScoreStatistics
+from fmuid.diagnosis.information_matrix import LEAST, ChangePrior, InformationMatrix, ScoreStatistics, square_root
 from fmuid.diagnosis.onset import ChangeTransient, OnsetLikelihood, OnsetShape
 
 
@@ -48,11 +48,17 @@ _KEPT = ("clock", "window", "begins", "before", "step", "ramp")
 
 
 class OnsetTracker:
-    """All onsets of a monitored machine; `drift` (N,) is sound at any time and from window to window."""
+    """All onsets of a monitored machine.
 
-    def __init__(self, known: ChangePrior, drift: Floats) -> None:
-        self.known, self._drift = known.drifting(drift), drift
-        n = drift.size
+    A change with covariance `drift` (N, N) is sound in any window. Its part `scatter` has a Wishart law of `freedom`.
+    """
+
+    def __init__(
+        self, known: ChangePrior, drift: Floats, scatter: Floats | None = None, freedom: float = math.inf
+    ) -> None:
+        self.known, self._drift, self._root = known.scattering(drift), drift, square_root(drift)
+        self._scatter, self._freedom = scatter, freedom
+        n = len(drift)
         self.build_up, self.slow = ChangeTransient(), np.zeros(n, bool)
         self._least = np.zeros(n)
         self.windows, self.end = 0, 0.0
@@ -79,7 +85,7 @@ class OnsetTracker:
         kept, count = np.flatnonzero(self._kept()), len(window.scores)
         clock = self._of["clock"][kept]
         recent = int(np.searchsorted(clock, window.edges[0] - self.build_up.lasts, side="right"))
-        own = _Window(window, self._drift, self.slow, self.build_up, clock[recent:])
+        own = _Window(window, self._root, self.slow, self.build_up, clock[recent:])
         before = np.append(self._total, self._score)
         places = (window.edges[:-1], self.windows, np.arange(count) == 0, before, own.steps, own.ramps)
         for name, new in zip(_KEPT, places, strict=True):
@@ -116,17 +122,26 @@ class OnsetTracker:
         mixed = np.swapaxes(shared, 1, 2)
         information = own - mixed @ after.covariance @ shared + np.diag(self._least)
         score, rise = score - mixed @ after.mean, 1.0 if shape is OnsetShape.STEP else self.end
-        for i in np.flatnonzero(self._drift):
-            shared = information[:, :, i]
-            share = shared / (shared[:, i] + (rise / self._drift[i]) ** 2)[:, None]
-            information = information - share[:, :, None] * shared[:, None]
-            score = score - share * score[:, i, None]
-        return information, score
+        along = information @ (self._root / rise)
+        inside = np.swapaxes(along, 1, 2) @ (self._root / rise) + np.eye(self._root.shape[1])
+        share = np.swapaxes(np.linalg.solve(inside, np.swapaxes(along, 1, 2)), 1, 2)
+        drawn = (score @ (self._root / rise))[..., None]
+        return information - share @ np.swapaxes(along, 1, 2), score - (share @ drawn)[..., 0]
 
     def statistics(self, causes: Sequence[Cause]) -> tuple[Floats, Floats]:
-        """Return begins of windows (T,) and D of steps (T, m)."""
+        """Return D of steps at begins of windows (T, m), and their degrees of freedom (T, m)."""
         at = np.flatnonzero(self._of["begins"])
-        return self._of["clock"][at], statistics_of(*self._news(at), causes)
+        information, score = self._news(at)
+        found = statistics_of(information, score, causes)
+        if self._scatter is None:
+            return found, np.full(found.shape, math.inf)
+        # of the variance of a size: scatter of the windows before, after, and of the step
+        number = self._of["window"][at]
+        parts = 1.0 + 1.0 / np.maximum(number, 1) + 1.0 / (self.windows - number)
+        own = np.einsum("tii->ti", information)
+        share = np.einsum("tij,jk,tki->ti", information, self._scatter, information, optimize=True) / own
+        share = np.clip(share * parts[:, None], 1e-3, 1.0)
+        return found, self._freedom / np.column_stack([share[:, list(c.columns)].mean(axis=1) for c in causes]) ** 2
 
     def onsets(self, causes: Sequence[Cause], shape: OnsetShape) -> list[OnsetLikelihood]:
         """Return the likelihood of all onsets of each cause."""
@@ -163,17 +178,19 @@ class OnsetTracker:
         before = [self._of["before"][k] for k in (last, first)]
         early_on, until = (InformationMatrix(each[: n * n].reshape(n, n), each[n * n :]) for each in before)
         after = InformationMatrix(self._total - until.matrix, self._score - until.score)
-        return ScoreStatistics.of(after, self.known.after_also(early_on).drifting(self._drift)), float(clock[first])
+        return ScoreStatistics.of(after, self.known.after_also(early_on).scattering(self._drift)), float(clock[first])
 
     def restarted(self, low: float) -> OnsetTracker:
         """Return a tracker for later windows, its prior from those before `low`."""
-        other, n = OnsetTracker(self.known, 0.0 * self._drift), self._score.size
+        none, n = 0.0 * self._drift, self._score.size
+        other = OnsetTracker(self.known, none, self._scatter, self._freedom)
         early = np.flatnonzero(self._of["begins"] & (self._of["clock"] <= low))
         if early.size:
             before = self._of["before"][early[-1]]
             record = InformationMatrix(before[: n * n].reshape(n, n), before[n * n :])
-            other.known = self.known.after_also(record).drifting(self._drift)
-        other._drift, other.build_up, other.slow, other.end = self._drift, self.build_up, self.slow, self.end
+            other.known = self.known.after_also(record).scattering(self._drift)
+        other._drift, other._root = self._drift, self._root
+        other.build_up, other.slow, other.end = self.build_up, self.slow, self.end
         return other
 
     # --- files
@@ -226,13 +243,13 @@ def statistics_of(information: Floats, score: Floats, causes: Sequence[Cause]) -
 
 
 class _Window:
-    """Sums of a window without drift, which M = (P⁻² + G)⁻¹ takes out; `recent` (R,) are onsets still building up.
+    """Sums of a window without drift, which L(I + LᵀGL)⁻¹Lᵀ takes out; `recent` (R,) are onsets still building up.
 
     `whole` (N, N) is with drift. `step` (visible steps) has 2 N² + N numbers, as each row of `recent` (R), `steps` and
     `ramps` (B, onsets at its blocks).
     """
 
-    def __init__(self, window: Blocks, drift: Floats, slow: Flags, build_up: ChangeTransient, recent: Floats) -> None:
+    def __init__(self, window: Blocks, root: Floats, slow: Flags, build_up: ChangeTransient, recent: Floats) -> None:
         count, n = window.scores.shape
         self._edges = edges = window.edges
         flat = np.hstack([window.matrices.reshape(count, n * n), window.scores])
@@ -250,7 +267,7 @@ class _Window:
             own = np.where(slow[:, None] & slow, both, np.where(slow[:, None] | slow, mixed, own))
             shared, score = np.where(slow, mixed, shared), np.where(slow, found[: at.size, n * n :], score)
         self.whole, self._whole_score, self._once = matrices[0], scores[0], matrices[1]
-        taken = np.linalg.inv(np.eye(n) + self.whole * np.outer(drift, drift)) * np.outer(drift, drift)
+        taken = root @ np.linalg.solve(np.eye(root.shape[1]) + root.T @ self.whole @ root, root.T)
         self._taken = 0.5 * (taken + taken.T)
         sums = self._without(
             np.concatenate([matrices[:1], matrices[2:3], matrices[square], own]),

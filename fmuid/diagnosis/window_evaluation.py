@@ -16,7 +16,7 @@ from fmuid.diagnosis.alarms import SOMETHING_ELSE, Alarm, AlarmDecision, Onset, 
 from fmuid.diagnosis.baseline_comparator import BaselineComparator
 from fmuid.diagnosis.cause_results import changes
 from fmuid.diagnosis.causes import Cause, CauseKind
-from fmuid.diagnosis.change_detection import fit, log_chances, log_limit
+from fmuid.diagnosis.change_detection import as_normal, fit, log_chances, log_limit
 from fmuid.diagnosis.diagnosis_result import EXPLAINED_SHARE
 from fmuid.diagnosis.information_matrix import LEAST, ChangePrior, ScoreStatistics
 from fmuid.diagnosis.noise_ratios import NoiseRatios
@@ -180,8 +180,8 @@ class WindowEvaluation:
         self.clock = sums.window.end + record.clock - record.begin
         self.watch.add(sums.blocks(record.clock - record.begin))
         causes = against.coordinates.causes
-        statistics = self.watch.statistics(causes)[1]
-        chances = log_chances(statistics, causes)
+        statistics, freedom = self.watch.statistics(causes)
+        chances = log_chances(as_normal(statistics, freedom), causes)
         windows = self.watch.windows
         # thresholds change little: by the next power of 2
         limit = against.limit(level, windows if windows < 16 else 1 << (windows - 1).bit_length())

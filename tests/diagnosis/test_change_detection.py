@@ -7,7 +7,7 @@ import pytest
 from scipy import optimize, special, stats
 
 from fmuid.diagnosis.causes import Cause
-from fmuid.diagnosis.change_detection import MinPDistribution, fit, log_tail, probability
+from fmuid.diagnosis.change_detection import MinPDistribution, as_normal, fit, log_tail, probability
 from fmuid.diagnosis.information_matrix import ScoreStatistics
 
 SIGNED = tuple(Cause(f"c{i}", (i,), 1.0, sign) for i, sign in enumerate((1, -1, 1, 0)))
@@ -31,6 +31,15 @@ def test_sizes_with_signs() -> None:
         found = fit(given, SIGNED)
         assert found.sizes == pytest.approx(sizes, abs=1e-7)
         assert found.statistic == pytest.approx(2 * given.score @ sizes - sizes @ given.information @ sizes, abs=1e-9)
+
+
+@pytest.mark.parametrize(("degrees", "off"), [(1, 0.06), (2, 1e-9)])
+def test_statistics_of_few_records_count_as_those_of_many(degrees: int, off: float) -> None:
+    """The χ² with the tail of an F law, by scipy's inverse."""
+    statistics, freedom = np.array([4.0, 9.0, 30.0, 100.0]), np.array([9.0, 19.0, 50.0, 9.0])
+    expected = stats.chi2.isf(stats.f.sf(statistics / degrees, degrees, freedom), degrees)
+    assert as_normal(statistics, freedom) == pytest.approx(expected, rel=off)
+    assert as_normal(statistics, np.full(4, np.inf)) == pytest.approx(statistics)
 
 
 @pytest.mark.parametrize("degrees", [1, 2, 3])

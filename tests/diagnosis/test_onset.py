@@ -24,7 +24,7 @@ DRIFT = np.array([0.0, 0.0, 0.4])
 
 def watched(jacobian: np.ndarray, residual: np.ndarray, begun: OnsetTracker | None = None) -> OnsetTracker:
     """Return a watch that has seen all windows; a block lasts a second."""
-    found = begun or OnsetTracker(KNOWN, DRIFT)
+    found = begun or OnsetTracker(KNOWN, np.diag(DRIFT**2))
     rows = jacobian.reshape(-1, BLOCKS, LENGTH, jacobian.shape[1])
     rest = residual.reshape(-1, BLOCKS, LENGTH)
     for k, (own, left) in enumerate(zip(rows, rest, strict=True)):
@@ -71,6 +71,19 @@ def test_an_onset_is_a_column_of_least_squares(shape: OnsetShape, at: int) -> No
     assert found.sizes[at, 0] == pytest.approx(size, rel=1e-6)
 
 
+def test_correlated_drift_is_that_of_other_coordinates() -> None:
+    """Beside a cause, coordinates turned by 30° have the same D and a drift with correlation."""
+    random, angle = np.random.default_rng(3), np.pi / 6.0
+    jacobian, residual = random.standard_normal((SAMPLES, 3)), random.standard_normal(SAMPLES)
+    turn = np.eye(3)
+    turn[np.ix_([0, 2], [0, 2])] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    known = ChangePrior(turn @ KNOWN.mean, turn @ KNOWN.covariance @ turn.T)
+    other = watched(jacobian @ turn.T, residual, OnsetTracker(known, turn @ np.diag(DRIFT**2) @ turn.T))
+    for shape in OnsetShape:
+        (plain,), (found,) = (each.onsets([CAUSE], shape) for each in (watched(jacobian, residual), other))
+        assert found.statistics == pytest.approx(plain.statistics, rel=1e-6, abs=1e-9)
+
+
 @pytest.mark.parametrize("sign", [0, 1])
 def test_evidence_of_an_onset_is_that_of_its_statistics(sign: int) -> None:
     """In closed form, of sizes with a normal or half-normal prior."""
@@ -84,7 +97,7 @@ def test_evidence_of_an_onset_is_that_of_its_statistics(sign: int) -> None:
 
 def test_old_onsets_thin_out_and_those_of_an_alarm_stay(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(watching, "SETTINGS", TrackerSettings(fine=2, most=8))
-    found, plain = OnsetTracker(KNOWN, DRIFT), (np.tile(np.eye(3), (BLOCKS, 1, 1)), np.ones((BLOCKS, 3)))
+    found, plain = OnsetTracker(KNOWN, np.diag(DRIFT**2)), (np.tile(np.eye(3), (BLOCKS, 1, 1)), np.ones((BLOCKS, 3)))
     for k in range(100):
         found.add(Blocks(np.arange(BLOCKS + 1.0) + BLOCKS * k, *plain))
         if k == 30:
@@ -108,7 +121,7 @@ def test_confidence_set_and_shape_over_draws(draws: int) -> None:
         course = np.tile(KNOWN.mean + spread @ random.standard_normal(3), (SAMPLES, 1))
         course[begin:, 1] += 0.6
         residual = np.einsum("ij,ij->i", jacobian, course) + random.standard_normal(SAMPLES)
-        found = watched(jacobian, residual, OnsetTracker(KNOWN, np.zeros(3)))
+        found = watched(jacobian, residual, OnsetTracker(KNOWN, np.zeros((3, 3))))
         when = estimate_onset([found.onsets([CAUSE], shape)[0] for shape in OnsetShape], found.end)
         held += when.between[0] <= begin / LENGTH <= when.between[1]
         shapes += when.shape is OnsetShape.STEP
@@ -154,7 +167,7 @@ def test_confidence_set_of_a_machine_with_memory_over_draws(draws: int) -> None:
         residual = 0.6 * moved[:, 0] / column.std() + random.standard_normal(SAMPLES)
         known = ChangeTransient.of(np.exp(-2.0 * np.arange(400) / LAG), jacobian[:, 1:], 1.0 / LENGTH)
         for k, build_up in enumerate((known, ChangeTransient())):
-            begun = OnsetTracker(ChangePrior(np.zeros(2), np.diag([0.5, 1e-4])), np.zeros(2))
+            begun = OnsetTracker(ChangePrior(np.zeros(2), np.diag([0.5, 1e-4])), np.zeros((2, 2)))
             found = watched(jacobian, residual, begun.building_up(build_up, np.array([False, True])))
             when = estimate_onset([found.onsets([CAUSE], shape)[0] for shape in OnsetShape], found.end)
             low, high = when.between
