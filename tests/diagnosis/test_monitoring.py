@@ -86,6 +86,9 @@ def test_a_fault_of_one_recording_ends_with_it(healthy_coil: fmuid.Result) -> No
         assert alarm.ended is not None and alarm.ended.record == f"r{first + 1}"
         (change,) = alarm.explanations[0].changes
         assert abs(change.value - 0.5) < 3 * change.std
+    lines = [each.text for each in monitoring_remarks(findings_of(found))]
+    for line, first in zip(lines, (1, 4), strict=True):
+        assert line.startswith("ALARM turns since ") and f" s of r{first + 1}. Size until the end: turns, dR = " in line
 
 
 def test_a_sound_machine(healthy_coil: fmuid.Result) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -43,6 +44,7 @@ class MonitoringMessage(Message, section="timeline"):
         remedy="Add a fault model, or check sensors and inputs.",
     )
     ENDED = plain("Ended at {time:.6g} s{record}.")
+    LASTED = plain("Lasted until {time:.6g} s{record}.")
     SIZE_AT_ALARM = plain("Size at the alarm: {sizes}.")
     SIZE_NOW = plain("Current size: {sizes}.")
     SIZE_SINCE = plain("Size until the end: {sizes}.")
@@ -58,19 +60,28 @@ class MonitoringMessage(Message, section="timeline"):
 
 
 def monitoring_remarks(found: MonitoringRun) -> list[Remark]:
-    """Return the verdict, with sizes and trend of the first alarm."""
+    """Return the verdict; of each alarm one line."""
     table, rule, alarms = found.table, found.rule, found.alarms
     if table.empty:
         return [MonitoringMessage.NO_WINDOW.said()]
     if alarms:
-        said = alarm_remarks(alarms[0], found.units)
-        sizes = size_at_alarm(alarms[0], found)
-        return [*said[:1], *([MonitoringMessage.SIZE_AT_ALARM.said("", sizes=sizes)] if sizes else []), *said[1:]]
+        return [_alarm_line(each, found) for each in alarms]
     if found.undetermined:
         return [MonitoringMessage.UNDECIDED.said(names=listed(found.undetermined))]
     per = "per recording" if rule.horizon is None else f"per {rule.horizon:g} s"
     given = {"windows": len(table), "level": 100 * rule.level, "per": per}
     return [MonitoringMessage.NO_ALARM.said(**given)]
+
+
+def _alarm_line(alarm: Alarm, found: MonitoringRun) -> Remark:
+    """Return cause, onset, size at the alarm and now, end and trend of an alarm in one line."""
+    (first, *others), sizes = alarm_remarks(alarm, found.units), size_at_alarm(alarm, found)
+    said = [first, *([MonitoringMessage.SIZE_AT_ALARM.said("", sizes=sizes)] if sizes else []), *others]
+    if alarm.ended is None and alarm.last < found.table.index[-1]:
+        last = found.table.loc[alarm.last]
+        where = "" if last["record"] == alarm.record else f" of {last['record']}"
+        said.append(MonitoringMessage.LASTED.said("", time=last["end"], record=where))
+    return replace(first, text=" ".join(each.text for each in said))
 
 
 def alarm_sentence(alarm: Alarm, units: Mapping[str, str]) -> str:
