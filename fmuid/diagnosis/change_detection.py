@@ -49,7 +49,10 @@ def log_tail(statistics: Floats, degrees: int) -> Floats:
 
 
 def as_normal(statistics: Floats, freedom: Floats) -> Floats:
-    """Return the χ² that is as rare as statistics with an F law; exact for two coordinates (Wallace, 1959)."""
+    """Return the χ² as rare as statistics with an F law.
+
+    Exact for two coordinates (Wallace, 1959).
+    """
     few = np.minimum(freedom, 1e9)
     return np.asarray(few * np.log1p(statistics / few))
 

@@ -193,7 +193,7 @@ class ScoreStatistics:
 
 
 def square_root(covariance: Floats) -> Floats:
-    """Return L (N, r) with LLᵀ = covariance (N, N), scaled before it is decomposed."""
+    """Return a root L (N, r) of a covariance LLᵀ (N, N)."""
     std = np.sqrt(np.diag(covariance))
     there = np.flatnonzero(std)
     values, vectors = np.linalg.eigh(covariance[np.ix_(there, there)] / np.outer(std[there], std[there]))

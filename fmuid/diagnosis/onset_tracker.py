@@ -129,7 +129,7 @@ class OnsetTracker:
         return information - share @ np.swapaxes(along, 1, 2), score - (share @ drawn)[..., 0]
 
     def statistics(self, causes: Sequence[Cause]) -> tuple[Floats, Floats]:
-        """Return D of steps at begins of windows (T, m), and their degrees of freedom (T, m)."""
+        """Return D and degrees of freedom (T, m) of steps at windows."""
         at = np.flatnonzero(self._of["begins"])
         information, score = self._news(at)
         found = statistics_of(information, score, causes)

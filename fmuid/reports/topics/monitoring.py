@@ -74,7 +74,7 @@ def monitoring_remarks(found: MonitoringRun) -> list[Remark]:
 
 
 def _alarm_line(alarm: Alarm, found: MonitoringRun) -> Remark:
-    """Return cause, onset, size at the alarm and now, end and trend of an alarm in one line."""
+    """Return all about an alarm in one line."""
     (first, *others), sizes = alarm_remarks(alarm, found.units), size_at_alarm(alarm, found)
     said = [first, *([MonitoringMessage.SIZE_AT_ALARM.said("", sizes=sizes)] if sizes else []), *others]
     if alarm.ended is None and alarm.last < found.table.index[-1]:
