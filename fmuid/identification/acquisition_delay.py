@@ -121,27 +121,22 @@ def delay_columns(problem: LeastSquares, result: Result) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class DelayedNoise:
-    """Noise of rows that allow for a delay: W½ r and W½ J, with W = (I + D Dᵀ)⁻¹ and D the delay's columns.
-
-    Their least squares are those with the delay's sizes as parameters.
-    """
+    """Noise of rows that allow for a delay (`delay_basis`)."""
 
     noise: ResidualNoise
-    basis: Floats  # (n, m), of D
-    shares: Floats  # (m,), singular values of W½ D
+    basis: Floats
+    shares: Floats
 
     @classmethod
     def of(cls, problem: LeastSquares, result: Result, noise: ResidualNoise) -> DelayedNoise:
         """Return the noise with the delay of a result; m = 0 without one."""
         if result.fit.delay is None:
             return cls(noise, np.zeros((problem.measured.size, 0)), np.zeros(0))
-        u, s, _ = np.linalg.svd(delay_columns(problem, result), full_matrices=False)
-        return cls(noise, u, s / np.sqrt(1.0 + s**2))
+        return cls(noise, *delay_basis(delay_columns(problem, result)))
 
     def rows(self, given: Floats) -> Floats:
         """Return W½ times rows (n,) or (n, k)."""
-        keep = np.sqrt(1.0 - self.shares**2)
-        return np.asarray(given - (self.basis * (1.0 - keep)) @ (self.basis.T @ given))
+        return without_delay(given, self.basis, self.shares)
 
     def local(self, given: LinearizedProblem) -> LinearizedProblem:
         """Return a linearized problem in these rows."""
@@ -151,6 +146,20 @@ class DelayedNoise:
         """Return XᵀΓX (k, k) of columns (n, k)."""
         along = self.shares[:, None] * (self.basis.T @ columns)
         return self.noise.gram(self.rows(columns)) + along.T @ along
+
+
+def delay_basis(columns: Floats) -> tuple[Floats, Floats]:
+    """Return the basis (n, m) of a delay's columns and the singular values (m,) of W½ D.
+
+    W = (I + D Dᵀ)⁻¹ and D the columns (n, 2) by one σ: least squares of W½ r have the delay's sizes as parameters.
+    """
+    u, s, _ = np.linalg.svd(HALF * columns, full_matrices=False)
+    return u, s / np.sqrt(1.0 + s**2)
+
+
+def without_delay(rows: Floats, basis: Floats, shares: Floats) -> Floats:
+    """Return W½ times rows (n,) or (n, k)."""
+    return np.asarray(rows - (basis * (1.0 - np.sqrt(1.0 - shares**2))) @ (basis.T @ rows))
 
 
 def _delays(problem: LeastSquares) -> list[float]:

@@ -14,9 +14,10 @@ import numpy as np
 import pandas as pd
 
 from fmuid.array_types import Floats
-from fmuid.data import Experiment, Parameter, ParameterSet
+from fmuid.data import Experiment, Noise, Parameter, ParameterSet
 from fmuid.errors import InputError
 from fmuid.estimation import parabola_slope
+from fmuid.identification.acquisition_delay import delay_basis, secants, without_delay
 from fmuid.models import System
 from fmuid.simulation import Value, output_unit, simulator_of
 
@@ -35,6 +36,7 @@ class SensitivityFunctions:
     parameters: tuple[str, ...]
     values: Floats  # (K, n_outputs, N), magnitude of the parameter times ∂ŷ/∂θ
     magnitudes: Floats  # (N,)
+    simulated: Floats  # (K, n_outputs)
 
     @property
     def table(self) -> pd.DataFrame:
@@ -101,6 +103,7 @@ def sensitivity_functions(
         tuple(parameters),
         np.moveaxis(slopes, 0, -1),
         magnitudes,
+        outputs[0],
     )
 
 
@@ -110,8 +113,11 @@ def expected_accuracy(
     parameters: Mapping[str, Parameter],
     variance: Mapping[str, float | Floats],
     values: Mapping[str, Value] | None = None,
+    delay_std: float = Noise().delay_in(""),
 ) -> ExpectedAccuracy:
     """Compute the expected σ of an excitation at the initial guess.
+
+    It includes a delay between inputs and outputs with `delay_std`, samples.
 
     The excitation is measured, or planned (`fmuid.diagnosis.planned_experiment`). The noise variance of each output is
     a number or (K,), in the unit of the excitation's data. Errors as of `sensitivity_functions`.
@@ -120,8 +126,12 @@ def expected_accuracy(
         if name not in variance:
             raise InputError(f'noise level of {name!r} is unknown. Set noise.variance = {{ "{name}" = ... }}.')
     found = sensitivity_functions(model, excitation, parameters, values)
-    levels = [np.broadcast_to(variance[name], len(excitation.times)) for name in excitation.output_names]
-    rows = (found.values / np.sqrt(np.column_stack(levels))[:, :, None])[excitation.counted]
+    variances = [np.broadcast_to(variance[name], len(excitation.times)) for name in excitation.output_names]
+    levels, counted = np.sqrt(np.column_stack(variances)), excitation.counted
+    rows = (found.values / levels[:, :, None])[counted]
+    if excitation.kind == "time" and excitation.input_names:
+        delays = secants(excitation, found.simulated, delay_std)
+        rows = without_delay(rows, *delay_basis(np.column_stack([(each / levels)[counted] for each in delays])))
     flat = ParameterSet(parameters, [excitation.name])
     rows = np.vstack([rows, flat.prior_whitening * found.magnitudes])
     _, singular, directions = np.linalg.svd(rows, full_matrices=False)

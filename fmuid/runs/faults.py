@@ -176,7 +176,9 @@ def ranked_excitations(
     study.check_parameters()
     parameters, values = _shared(study), study.model.values
     found = [
-        expected_accuracy(study.system, each, parameters, _variance(study, each), values)
+        expected_accuracy(
+            study.system, each, parameters, _variance(study, each), values, study.noise.delay_in(each.name)
+        )
         for each in candidates.values()
     ]
     return rank_excitations(found, by=by)

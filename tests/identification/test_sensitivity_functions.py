@@ -67,6 +67,21 @@ def test_priors_count() -> None:
         expected_accuracy(COIL, excitation(1.0), PARAMETERS, {})
 
 
+def test_expected_accuracy_includes_a_delay_of_half_a_sample() -> None:
+    """Against least squares with late and early outputs as parameters, by closed form."""
+    found = sensitivity_functions(COIL, excitation(2.0), PARAMETERS)
+    current = 2.0 / R * (1.0 - np.exp(-R / L * TIMES))
+    rises = 0.29 * np.diff(current)
+    late, early = np.append(0.0, -rises), np.append(rises, 0.0)
+    rows = np.column_stack([found.values[:, 0] / found.magnitudes, late, early]) / NOISE
+    rows = np.vstack([rows, np.sqrt(2.0) * np.eye(4)[2:]])
+    expected = np.sqrt(np.diag(np.linalg.inv(rows.T @ rows)))
+    own = expected_accuracy(COIL, excitation(2.0), PARAMETERS, {"i": NOISE**2})
+    assert list(own.std.values()) == pytest.approx(expected[:2], rel=1e-3)
+    plain = expected_accuracy(COIL, excitation(2.0), PARAMETERS, {"i": NOISE**2}, delay_std=0.0)
+    assert plain.std["L"] < 0.9 * own.std["L"] and plain.log_determinant > own.log_determinant
+
+
 def test_expected_accuracy_of_a_spectrum_is_that_of_its_fit(tmp_path: Path) -> None:
     """With noise in proportion to the magnitude: against σ of an identification."""
     rows = np.logspace(-1.0, 2.0, 31)
