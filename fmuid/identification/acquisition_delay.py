@@ -149,7 +149,7 @@ class DelayedNoise:
 
 
 def delay_basis(columns: Floats) -> tuple[Floats, Floats]:
-    """Return a delay's basis (n, m) and the singular values (m,) of W½ D.
+    """Return a delay's basis (n, m) and singular values (m,).
 
     W = (I + D Dᵀ)⁻¹ and D the columns (n, 2) by one σ: least squares of W½ r have the delay's sizes as parameters.
     """
