@@ -118,6 +118,8 @@ class Design:
             known = ChangePrior.after(record, made.coordinates.normal)
         sharp = ScoreStatistics.of(said, ChangePrior(0.0 * known.mean, 0.0 * known.covariance).drifting(drift))
         news = ScoreStatistics.of(said, known.drifting(drift))
+        if healthy is None and made.healthy.population is not None:  # errors of the model between operating points
+            news = made.healthy.population.judged(news)
         every, level = made.coordinates.causes, self.settings.level
         kappa = made.model_error(self.settings.model_error, level)
         limit = level if len(every) == 1 else MinPDistribution.of(news, every).limit(level)

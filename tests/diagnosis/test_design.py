@@ -17,6 +17,7 @@ from fmuid import Baseline, Design, Monitor, Rule
 from fmuid.data.signals import prbs, step_sequence
 from fmuid.diagnosis import planned_experiment
 from fmuid.runs.faults import design_of
+from tests.support import operated_coil
 from tests.support.plate import COLUMNS, PHASES, STD, TRUTH, Faults
 from tests.support.plate import record as plate_record
 from tests.support.results import changed
@@ -97,6 +98,17 @@ def test_excitations_are_ranked(healthy: fmuid.Result) -> None:
     still = found.rank({"still": on_coil(step_sequence(1.0, coil.STEP, [0.0])), "weak": on_coil(frames["weak"])})
     assert list(still["excitation"]) == ["weak", "still"]
     assert math.isinf(still["dR"][1]) and math.isfinite(still["dR"][0])
+
+
+def test_a_design_promises_what_a_diagnosis_does() -> None:
+    """Of ten imperfect coils at operating points of their own: the scatter of few records counts in both."""
+    always = {"saturation": 0.15, "gain": 0.02, "dead": 0.03}
+    rng = np.random.default_rng(71)
+    known = operated_coil.baseline([operated_coil.operated(rng, **always) for _ in range(10)])
+    new = operated_coil.operated(rng, **always)
+    (planned,) = Design(operated_coil.FAULTS, known, coil.models()[0]).detectable(new)
+    promised = fmuid.diagnose(new, known, operated_coil.FAULTS, coil.models()[0]).detectable["turns.dR"]
+    assert planned.value == pytest.approx(promised, rel=0.05)
 
 
 @pytest.mark.parametrize(
