@@ -15,7 +15,15 @@ from fmuid.data.coarse_clock import regular_times
 from fmuid.data.headers import RawTable, split_header
 from fmuid.data.several_clocks import assigned, joined, resolution, same_clock
 from fmuid.data.time_names import TIME_NAMES, counts_part, is_time_name, plain_name
-from fmuid.data.time_numbers import DATES, are_day_numbers, clock_in_digits, dates_in_digits, may_be_days, since_1970
+from fmuid.data.time_numbers import (
+    DATES,
+    clock_in_digits,
+    dates_in_digits,
+    dates_of_days,
+    may_be_days,
+    may_be_fractions,
+    since_1970,
+)
 from fmuid.data.time_texts import check_local_times, days_of, seconds_of, time_of_day, times_of
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
@@ -148,10 +156,12 @@ def _clock(raw: RawTable, column: str, unit: str | None, source: str, usual: str
         raise InputError(f'{source}: {said}. Set time_unit, such as "s", or another time column.')
     if begin is None and (unit_since := since_1970(values, said_unit)):
         values, begin = seconds_of(pd.to_datetime(values, unit=unit_since))
-    if begin is None and said_unit is None and are_day_numbers(values, column):
-        values, begin = seconds_of(pd.to_datetime(values, unit="D", origin="1899-12-30").dt.round("us"))
+    if begin is None and (dates := dates_of_days(values, column, said_unit)) is not None:
+        values, begin = seconds_of(dates)
     if said_unit is None and (column in raw.days or (begin is None and may_be_days(values))):
         raise InputError(f'{source}: column {column or "(no name)"!r} may be in days. Set time_unit = "d" or "s".')
+    if begin is None and said_unit is None and usual is None and may_be_fractions(values):
+        raise InputError(f'{source}: column {column!r} may be in ms, µs or ns. Set time_unit, such as "us".')
     numeric = pd.api.types.is_numeric_dtype(values.dtype)  # texts are refused by the reader, with their row
     factor = SECONDS[said_unit or usual or "s"] if begin is None and numeric else 1.0
     return _Clock(column, values if factor == 1.0 else _scaled(values, factor), begin)

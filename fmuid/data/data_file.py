@@ -22,6 +22,7 @@ from fmuid.data.readers import BINARY, WITH_SHEETS, format_of, is_text, read_bin
 from fmuid.data.readers.base import FileColumns
 from fmuid.data.readers.json_text import read_json
 from fmuid.data.readers.text import read_text
+from fmuid.data.readers.unpacking import PACKED
 from fmuid.data.several_clocks import CLOCKS
 from fmuid.data.time_names import is_time_name
 from fmuid.data.time_numbers import dates_of_parts, with_dates_of_days
@@ -30,7 +31,7 @@ from fmuid.files import is_file, is_folder
 from fmuid.units import SECONDS, TIME_UNITS
 
 TEXT = (".csv", ".txt", ".tsv", ".asc", ".dat", ".lvm", ".tab", ".prn", ".ascii", ".log", ".out")
-"""Suffixes of delimited text; packed it has .gz or .zip after them."""
+"""Suffixes of delimited text; packed it has another after them."""
 JSON = (".json", ".jsonl", ".ndjson")
 TABLE_SUFFIXES = (*TEXT, *JSON, *BINARY)
 """Suffixes of the formats that are read."""
@@ -55,7 +56,8 @@ def read_data(
 
     The suffix says the format:
 
-    - Text (``.csv``, ``.txt``, ``.tsv``, ``.asc``, ``.dat``; packed as ``.gz`` or ``.zip``) in UTF-8, UTF-16 or cp1252.
+    - Text (``.csv``, ``.txt``, ``.tsv``, ``.asc``, ``.dat``; packed as ``.gz``, ``.bz2``, ``.xz`` or ``.zip``)
+      in UTF-8, UTF-16 or cp1252.
       Commas, semicolons, tabs, bars or spaces separate cells. Decimals have points or commas. Lines above the header
       are skipped. Empty cells and ``-`` are missing samples. Text of other suffixes is read, too.
     - ``.parquet``, ``.feather``, ``.json``: a named index becomes a column.
@@ -113,8 +115,8 @@ def read_data(
     except PermissionError:
         raise InputError(f"{source}: permission denied. Change the permissions of the file.") from None
     inner = Path(path.stem).suffix.lower()
-    text = suffix not in (*JSON, *BINARY) and inner not in ((*JSON, *BINARY) if suffix in (".gz", ".zip") else ())
-    known = suffix in TABLE_SUFFIXES or (text and (suffix in TEXT or suffix in (".gz", ".zip")))
+    text = suffix not in (*JSON, *BINARY) and inner not in ((*JSON, *BINARY) if suffix in PACKED else ())
+    known = suffix in TABLE_SUFFIXES or (text and (suffix in TEXT or suffix in PACKED))
     if sheet is not None and suffix not in WITH_SHEETS:
         raise InputError(f"{source}: sheet {sheet!r}: this format has no sheets. Remove it.")
     if not known and not (text and _is_text(path)):

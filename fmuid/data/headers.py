@@ -24,8 +24,8 @@ _WITH_UNIT = re.compile(
 _AFTER_WORD = re.compile(r"(?P<name>.*\S)(?:,? in | ?/ |, )(?P<unit>\S.*)")
 _AFTER_SLASH = re.compile(r"(?P<name>[^/]*[^/\s])/(?P<unit>[^/\s]+|rad/s|1/min)")
 _SLASH_UNITS = {
-    "s", "ms", "µs", "us", "min", "h", "Hz", "kHz", "V", "mV", "kV", "A", "mA", "kA", "Ohm", "ohm", "Ω", "mOhm", "W",
-    "kW", "deg", "°", "rad", "rpm", "rad/s", "1/min", "N", "Nm", "N.m", "°C", "degC",
+    "s", "sec", "Sec", "ms", "µs", "us", "min", "h", "Hz", "kHz", "V", "mV", "kV", "A", "mA", "kA", "Ohm", "ohm", "Ω",
+    "mOhm", "W", "kW", "deg", "°", "rad", "rpm", "rad/s", "1/min", "N", "Nm", "N.m", "°C", "degC",
 }  # fmt: skip
 """Units after a slash without spaces, as in DIN 1313; other slashes are ratios."""
 _RATES, _RATIOS = re.compile(r"([mk]?m|rad|deg|°|U|k?g|[lL]|1|rev)/(s|min|h)"), re.compile(r"m?[VA]|[WN]")
@@ -73,6 +73,10 @@ _MARKED = re.compile(r"\s*[\[{<]")
 """Begin of lines such as ``[Data]``."""
 _NO_NAME = re.compile(r"[\d:./\s-]*")
 """Dates and times in the place of names."""
+_FORM = re.compile(r"(?:[dDMyYhHmsSfT]{1,4}[./: -]){2,}[dDMyYhHmsSf]{1,6}")
+"""Formats of dates and times: ``dd.MM.yyyy HH:mm``."""
+_RUN = re.compile(r"(?P<name>.+?) \((?P<unit>[^()]+)\) (?P<run>(?:Run|Set|Lauf) ?#?\d+)")
+"""Headers with a unit before the number of a run."""
 _INDEX = re.compile(r"[\d\s,:]*")
 _NODES, _NODE = (
     ("V", "I", "v", "i", "Ix", "Id", "Ig", "Is", "Ic", "Ib", "Ie"),
@@ -124,6 +128,9 @@ def split_header(header: str) -> tuple[str, str | None]:
     """
     header = " ".join(header.split())
     found = _WITH_UNIT.fullmatch(header)
+    run = _RUN.fullmatch(header)
+    if run is not None and is_unit(run["unit"]):
+        return f"{run['name']} {run['run']}", run["unit"]
     if found is None and header.startswith("in ") and is_unit(header[3:]):
         return header, header[3:]
     if found is None:
@@ -314,8 +321,8 @@ def _with_names_above(rows: Sequence[Sequence[Cell]], units: Sequence[Cell]) -> 
 
 
 def _is_clock(text: str) -> bool:
-    """Return whether a text names a time and no unit."""
-    return is_time_name(text) and time_unit(text) is None
+    """Return whether a text names a time, or its format, and no unit."""
+    return (is_time_name(text) and time_unit(text) is None) or _FORM.fullmatch(text) is not None
 
 
 def _units_said(rows: Sequence[Sequence[Cell]], names: Sequence[str]) -> tuple[str, ...]:
@@ -383,7 +390,9 @@ def _are_units(row: Sequence[Cell]) -> bool:
     """Return whether cells are units; of three and more with a time, some may be unknown."""
     texts = [text.strip("[]() ") for text in _texts(row)]
     there = [text for text in texts if text not in ("", "-") and not _is_clock(text)]
-    known = [text for text in there if is_unit(text) or (text == texts[0] and time_unit(text) is not None)]
+    known = [
+        text for text in there if is_unit(text) or ((text == texts[0] or len(text) > 2) and time_unit(text) is not None)
+    ]
     timed = len(there) > 2 and any(text in SECONDS or _is_clock(text) for text in texts)
     timed = timed and 2 * len(known) > len(there)
     alike = bool(known) and all(text in known or _like_unit(text) for text in there)

@@ -10,7 +10,7 @@ TIME_NAMES = (
     "tid", "czas", "čas", "zaman", "время", "時間", "时间", "時刻", "elapsed time", "relative time", "rel. time",
     "test time", "seconds", "second", "sekunden", "x value", "x-axis", "zeitachse", "elapsed", "utc", "ts", "tout",
     "date&time", "date & time", "date and time", "run time", "total time", "cumulative time", "testtime", "uts",
-    "stamp", "timestring", "last changed", "last updated",
+    "stamp", "timestring", "uptime", "ticks", "aika", "last changed", "last updated",
     "測定時間", "経過時間", "日時", "测试时间", "记录时间", "总时间", "日期",
 )  # fmt: skip
 """What tables call their time, in small letters, in the order of preference."""

@@ -16,6 +16,10 @@ _DAY_NUMBERS = (36_526.0, 73_051.0)
 """Days of spreadsheets (from 1899-12-30) of the years 2000 to 2100."""
 _MATLAB_DAYS = (729_391.0, 767_010.0)
 """Days of MATLAB (datenum) of the years 1997 to 2100."""
+_MATLAB_1970, _SPREADSHEET_1970 = 719_529.0, 25_569.0
+"""1970-01-01 in these days."""
+_TICKS, _TICKS_OF_1970 = (630_822_816_000_000_000, 662_380_416_000_000_000), 621_355_968_000_000_000
+"""Tenths of microseconds since year 1 (.NET) of the years 2000 to 2100, and of 1970."""
 _LOGGED_SECONDS = (1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 60.0)
 """Usual intervals of loggers; as seconds, their fractions of a day are odd sampling rates such as 8640 Hz."""
 DATES = ("date", "datum", "datetime", "date/time", "date time", "datum/zeit", "datum zeit", "timestamp", "zeitstempel")
@@ -41,6 +45,8 @@ def since_1970(values: Any, unit: str | None) -> Literal["s", "ms", "us", "ns"] 
 def _time_of_day(frame: pd.DataFrame) -> Any:
     """Return durations of three columns of hours, minutes and seconds; None without them."""
     names = [str(name).strip().lower() for name in frame.columns]
+    if len(names) > 2 and names[0] in _CLOCK_PARTS[0] and names[1] in ("t", "time"):
+        return _of_hours(frame.iloc[:, 0], frame.iloc[:, 1])
     triples = (zip(names[k : k + 3], _CLOCK_PARTS, strict=True) for k in range(len(names) - 2))
     place = next((k for k, triple in enumerate(triples) if all(name in known for name, known in triple)), None)
     if place is None or any(map(is_time_name, (*names[:place], *names[place + 3 :]))):
@@ -53,6 +59,15 @@ def _time_of_day(frame: pd.DataFrame) -> Any:
         return None
     found = 3600.0 * hours + 60.0 * minutes + seconds
     return pd.to_timedelta(found + SECONDS["d"] * (found.diff() < 0).cumsum(), unit="s")
+
+
+def _of_hours(hours: Any, seconds: Any) -> Any:
+    """Return durations of whole hours and the seconds of each, as of OpenDSS; None for others."""
+    if not all(pd.api.types.is_numeric_dtype(each.dtype) for each in (hours, seconds)):
+        return None
+    found = 3600.0 * hours + seconds
+    whole = (hours % 1 == 0).all() and seconds.between(0, 3600).all() and found.is_monotonic_increasing
+    return pd.to_timedelta(found, unit="s") if whole else None
 
 
 def may_be_days(values: Any) -> bool:
@@ -68,15 +83,29 @@ def may_be_days(values: Any) -> bool:
     return bool((values % 1.0 > 0.0).any() and np.nanmedian(np.abs(np.diff(values))) < 1.0)
 
 
-def are_day_numbers(values: Any, column: str) -> bool:
-    """Return whether a column of dates holds a spreadsheet's numbers of days."""
-    if column.strip().lower() not in DATES or not pd.api.types.is_numeric_dtype(values.dtype):
+def dates_of_days(values: Any, column: str, unit: str | None) -> Any:
+    """Return days of MATLAB and spreadsheets as dates: those in days, and a spreadsheet's in a column of dates."""
+    numeric = pd.api.types.is_numeric_dtype(values.dtype) and len(values) > 0
+    dated = unit is None and column.strip().lower() in DATES
+    for known, zero in ((_MATLAB_DAYS, _MATLAB_1970), (_DAY_NUMBERS, _SPREADSHEET_1970)):
+        likely = unit == "d" or (dated and zero == _SPREADSHEET_1970)
+        if likely and numeric and values.between(*known).all() and (values % 1.0 > 0.0).any():
+            return pd.to_datetime(values - zero, unit="D").dt.round("us")
+    return None
+
+
+def may_be_fractions(values: Any) -> bool:
+    """Return whether whole numbers are rather ms, µs or ns: no logger samples each 1000 s or 4321 s."""
+    if not pd.api.types.is_integer_dtype(values.dtype) or len(values) < 3:
         return False
-    return bool(values.between(*_DAY_NUMBERS).all() and (values % 1.0 > 0.0).any())
+    step = float(np.median(np.abs(np.diff(values))))
+    return step >= 1000.0 and step % SECONDS["min"] != 0
 
 
 def dates_in_digits(values: Any) -> Any:
-    """Return numbers such as 20260131235959 as dates; None for others."""
+    """Return numbers such as 20260131235959, and ticks of .NET, as dates; None for others."""
+    if pd.api.types.is_integer_dtype(values.dtype) and values.between(*_TICKS).all():
+        return pd.to_datetime((values - _TICKS_OF_1970) * 100, unit="ns")
     if (
         not pd.api.types.is_integer_dtype(values.dtype)
         or not values.between(19_000_101_000_000, 21_001_231_235_959).all()

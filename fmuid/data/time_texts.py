@@ -48,6 +48,8 @@ _REWRITTEN = (
     (re.compile(r"^(\d{1,2}) ([A-Z][a-z]{2})[a-z]* (\d{4}),? "), r"\1-\2-\3 "),
     (re.compile(r"^(\d{4}-\d{2}-\d{2})[-_ ](\d{2})-(\d{2})-(\d{2})$"), r"\1T\2:\3:\4"),
     (re.compile(r"^(\d+)d\s+(?=\d{1,2}:)"), r"\1 days "),
+    (re.compile(r"^(\d+)d (\d{1,2})h (\d{1,2})m ([\d.]+)s$"), r"\1 days \2:\3:\4"),
+    (re.compile(r"(?<=\d) (\d{1,2})\.(\d{2})\.(\d{2})$"), r" \1:\2:\3"),
 )
 """Spellings of loggers and battery cyclers, and the usual ones."""
 _OFFSETS = """UTC=+00:00 GMT=+00:00 Z=+00:00 WET=+00:00 WEST=+01:00 BST=+01:00 CET=+01:00 MEZ=+01:00 CEST=+02:00

@@ -188,3 +188,112 @@ def test_long_texts_in_wide_characters(tmp_path: Path) -> None:
 def test_dates_of_iso_8601(tmp_path: Path, dates: tuple[str, ...], seconds: tuple[float, ...]) -> None:
     (tmp_path / "a.csv").write_text("time;u\n" + "".join(f"{date};{k}\n" for k, date in enumerate(dates)))
     np.testing.assert_array_equal(read_data(tmp_path / "a.csv")["time"], seconds)
+
+
+def test_units_before_the_number_of_a_run(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("Time (s) Run #1,Voltage (mV) Run #1\n0,1\n1,2\n2,3\n")
+    frame = read_data(tmp_path / "a.csv")
+    assert frame.attrs["units"] == {"Voltage Run #1": "mV"}
+    np.testing.assert_array_equal(frame["time"], [0.0, 1.0, 2.0])
+
+
+def test_points_between_parts_of_a_clock(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("Aika;u\n28.11.2026 9.59.59;1\n28.11.2026 10.00.00;2\n28.11.2026 10.00.02;3\n")
+    np.testing.assert_array_equal(read_data(tmp_path / "a.csv")["time"], [0.0, 1.0, 3.0])
+
+
+def test_hours_and_seconds_of_each(tmp_path: Path) -> None:
+    """OpenDSS counts seconds anew in each hour."""
+    rows = "".join(f"{60 * k // 3600}, {60 * k % 3600}, {k}\n" for k in range(130))
+    (tmp_path / "a.csv").write_text("hour, t(sec), V1\n" + rows)
+    np.testing.assert_array_equal(read_data(tmp_path / "a.csv")["time"], 60.0 * np.arange(130))
+
+
+@pytest.mark.parametrize("zero", [739_948.0, 46_354.0])
+def test_days_of_matlab_and_spreadsheets_in_days(tmp_path: Path, zero: float) -> None:
+    """Days on a calendar count from the first where the unit is said."""
+    days = zero + 0.25 + np.arange(20) / 86_400
+    pd.DataFrame({"time": days, "u": 1.0}).to_csv(tmp_path / "a.csv", index=False)
+    with pytest.raises(InputError, match=r'may be in days\. Set time_unit = "d"'):
+        read_data(tmp_path / "a.csv")
+    frame = read_data(tmp_path / "a.csv", time_unit="d")
+    np.testing.assert_allclose(frame["time"], np.arange(20.0), atol=2e-5)
+    assert frame.attrs["begin"].hour == 6
+
+
+def test_whole_numbers_in_large_steps_are_no_seconds(tmp_path: Path) -> None:
+    for step, read in ((4000, False), (1234, False), (3600, True), (900, True)):
+        (tmp_path / "a.csv").write_text("time,u\n" + "".join(f"{step * k},1\n" for k in range(9)))
+        if read:
+            assert read_data(tmp_path / "a.csv")["time"].iloc[-1] == 8 * step
+            continue
+        with pytest.raises(InputError, match=r'may be in ms, µs or ns\. Set time_unit, such as "us"'):
+            read_data(tmp_path / "a.csv")
+        assert read_data(tmp_path / "a.csv", time_unit="us")["time"].iloc[-1] == pytest.approx(8e-6 * step)
+
+
+def test_waveforms_of_several_groups(tmp_path: Path) -> None:
+    """Groups of one waveform each make one table, at their starts; others are named as left out."""
+    nptdms = pytest.importorskip("nptdms")
+    start = np.datetime64("2026-11-28T10:00:00")
+    said = {"wf_increment": 0.1, "wf_start_offset": 0.0}
+    with nptdms.TdmsWriter(tmp_path / "a.tdms") as file:
+        for group, name, late in (("AI0", "u", 0), ("AI1", "i", 50)):
+            own = said | {"wf_start_time": start + np.timedelta64(late, "ms")}
+            file.write_segment([nptdms.ChannelObject(group, name, np.arange(9.0), properties=own)])
+    frame = read_data(tmp_path / "a.tdms")
+    there = frame["i"].notna()
+    np.testing.assert_allclose(frame["time"][there], 0.05 + 0.1 * np.arange(9))
+    with nptdms.TdmsWriter(tmp_path / "b.tdms") as file:
+        file.write_segment([nptdms.ChannelObject("fast", name, np.arange(20.0)) for name in ("time", "u")])
+        file.write_segment([nptdms.ChannelObject("slow", "i", np.arange(5.0))])
+    frame = read_data(tmp_path / "b.tdms")
+    assert [*frame] == ["time", "u"]
+    assert frame.attrs["left out"] == {"i": "a channel of group 'slow'"}
+
+
+def test_titles_and_notes_beside_a_table_in_a_sheet(tmp_path: Path) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    sheet = book.active
+    sheet["A1"], sheet["H7"] = "Rig 4", "note"
+    for k, row in enumerate((("t [s]", "u [V]"), *((0.1 * k, k) for k in range(9)))):
+        for place, cell in enumerate(row):
+            sheet.cell(5 + k, 3 + place, cell)
+    book.save(tmp_path / "a.xlsx")
+    frame = read_data(tmp_path / "a.xlsx")
+    assert [*frame] == ["time", "u"]
+    np.testing.assert_allclose(frame["u"], np.arange(9.0))
+
+
+def test_structure_array_of_rows(tmp_path: Path) -> None:
+    from scipy.io import savemat
+
+    rows = np.zeros((1, 20), dtype=[("t", "O"), ("u", "O")])
+    rows[0] = [(0.1 * k, k) for k in range(20)]
+    savemat(tmp_path / "a.mat", {"data": rows})
+    np.testing.assert_allclose(read_data(tmp_path / "a.mat")["u"], np.arange(20.0))
+
+
+@pytest.mark.parametrize("module", ["bz2", "lzma"])
+def test_other_packed_texts(tmp_path: Path, module: str) -> None:
+    import importlib
+
+    path = tmp_path / f"a.csv.{'xz' if module == 'lzma' else module}"
+    path.write_bytes(importlib.import_module(module).compress(b"time,u\n0,1\n1,2\n"))
+    assert read_data(path)["u"].tolist() == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("u=1 i=2\nu=1 j=2\n", "line 2 has other names than the first"),
+        ("a u=1,i=2 1795343400000000000\nb u=1,i=2 1795343400010000000\n", "several series"),
+        ("IGOR\nWAVES t u\nBEGIN\n0 1\nEND\nWAVES t u\nBEGIN\n0 1\nEND\n", "2 tables of Igor"),
+        ("Title: a\nFlags: complex\nNo. Variables: 1\nNo. Points: 1\nVariables:\n 0 f\nValues:\n0 1,0\n", "complex"),
+    ],
+)
+def test_blocks_and_keys_that_are_refused(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "a.txt").write_text(text)
+    with pytest.raises(InputError, match=said):
+        read_data(tmp_path / "a.txt")

@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from fmuid import Experiment, InputError, read_data
-from tests.support import historian_texts, instrument_texts, spoilt_texts
+from tests.support import historian_texts, instrument_texts, simulator_texts, spoilt_texts
 from tests.support.table_variants import DATES, FRAME, ROWS
 
 LOGGERS = ("HOBO", "EasyLog", "Grafana", "Digatron", "VCDS", "Tinytag")
 TEXTS = instrument_texts.texts(FRAME, DATES)
 TEXTS |= {name: each for name, each in historian_texts.texts(FRAME, DATES).items() if name in LOGGERS}
+TEXTS |= simulator_texts.texts(FRAME, DATES)
 WITHOUT_TIMES = {"LabVIEW without times", "Yokogawa"}
 """Texts in which nothing shows a row that is gone."""
 FACTORS = {"rpm": np.pi / 30, "mA": 1e-3}

@@ -14,7 +14,7 @@ from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 from scipy.linalg import expm
 
-from tests.support import bench_texts, historian_texts, instrument_texts, logger_texts
+from tests.support import bench_texts, historian_texts, instrument_texts, logger_texts, simulator_texts
 from tests.support.mat4 import characters, write_mat4
 
 MODEL = """
@@ -224,7 +224,7 @@ TEXTS: dict[str, tuple[str, str | bytes]] = {
 }  # fmt: skip
 
 
-for _texts in (instrument_texts, logger_texts, historian_texts, bench_texts):
+for _texts in (instrument_texts, logger_texts, historian_texts, bench_texts, simulator_texts):
     TEXTS |= _texts.texts(FRAME, DATES)
 
 
@@ -495,6 +495,9 @@ SAID = {
     "units below samples": "line 122 has units",
     "COMTRADE without scales": "rows of COMTRADE without scales",
     "commands of SQL": "commands of SQL",
+    "Octave": "a matrix of Octave without names",
+    "times in brackets, no names": "times in brackets without names",
+    "microseconds, unsaid": "may be in ms, µs or ns",
     "lost.mat": "'w': 60 samples in place of 120",
     "lost.h5": "'w': 60 samples in place of 120",
 }

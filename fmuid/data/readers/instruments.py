@@ -8,7 +8,10 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from fmuid.data.cells import is_number
+from fmuid.data.readers.block_texts import BLOCKS
+from fmuid.data.readers.keyed_lines import KEYED
 from fmuid.errors import InputError
+from fmuid.units import SECONDS
 
 _KEPT = ("Samples", "Delta_X", "Y_Unit_Label")
 _TABLE = re.compile(r"(?:double|float)\s+(?P<name>[\w.]+)\s*\(\s*(?P<rows>\d+)\s*,\s*(?P<columns>\d+)\s*\)(?P<rest>.*)")
@@ -106,6 +109,80 @@ def _ignition(lines: Sequence[str]) -> RewrittenHead:
     return RewrittenHead([lines[1]], count + 1)
 
 
+def _haltech(lines: Sequence[str]) -> RewrittenHead:
+    """Return the head of Haltech: a line per channel, then rows without a header."""
+    names = [line.partition(":")[2].strip() for line in lines if re.match(r"Channel\s*:", line)]
+    count = next(k for k, line in enumerate(lines) if re.match(r"\d{1,2}:\d{2}:\d{2}", line))
+    return RewrittenHead([",".join(f'"{name}"' for name in ("time", *names))], count)
+
+
+def _labchart(lines: Sequence[str]) -> RewrittenHead:
+    """Return the head of LabChart: names and units behind keys that end in an equals sign."""
+    said = {key: cells for key, *cells in (line.split("\t") for line in lines if "=\t" in line[:30])}
+    count = next(k for k, line in enumerate(lines) if "=\t" not in line[:30])
+    names, units = (said[f"{key}="] for key in ("ChannelTitle", "UnitName"))
+    heads = (f"{name} [{unit}]" if unit not in ("", "*") else name for name, unit in zip(names, units, strict=True))
+    return RewrittenHead(["\t".join(("time [s]", *heads))], count)
+
+
+def _acqknowledge(lines: Sequence[str], source: str) -> Iterator[str]:
+    """Yield the table of AcqKnowledge: a line for each name and unit, rows at an interval."""
+    step, unit = re.match(r"([\d.]+) (\w+)/sample", lines[1]).groups()  # type: ignore[union-attr]
+    count = int(lines[2].split()[0])
+    names = [f"{name.strip()} [{unit.strip()}]" for name, unit in zip(lines[3::2], lines[4::2], strict=False)][:count]
+    head, samples, *rows = [line.rstrip("\t").split("\t") for line in lines[3 + 2 * count :] if line.strip()]
+    if len(head) == count + 1:  # times are there
+        yield "\t".join((f"time [{head[0]}]", *names))
+        yield from map("\t".join, rows)
+        return
+    if len(rows) != int(samples[0]):  # times are those of row numbers
+        raise InputError(f"{source}: {len(rows)} rows of samples in place of {samples[0]}. Write the whole file again.")
+    yield "\t".join((f"time [{'ms' if unit == 'msec' else 's'}]", *names))
+    yield from ("\t".join((repr(k * float(step)), *row)) for k, row in enumerate(rows))
+
+
+def _msr(lines: Sequence[str]) -> RewrittenHead:
+    """Return the head of MSR loggers: sections that begin with a star."""
+    below = {line.strip(): lines[k + 1] for k, line in enumerate(lines[:-1]) if line.startswith("*")}
+    names, units = (below[key].split(";") for key in ("*CHANNEL", "*UNIT"))
+    heads = (f"{name} [{unit}]" if unit.strip() else name for name, unit in zip(names, units, strict=True))
+    return RewrittenHead([";".join(heads)], [line.strip() for line in lines].index("*DATA") + 1)
+
+
+def _owon(lines: Sequence[str]) -> RewrittenHead:
+    """Return the head of Owon: row numbers, and the interval above."""
+    step = next(line.split(",")[1] for line in lines if line.startswith("Time interval"))
+    found = re.fullmatch(r"([\d.]+)\s*(\w+)", step.strip())
+    count = next(k for k, line in enumerate(lines) if line.startswith("index,"))
+    seconds = float(found[1]) * SECONDS[found[2].lower()] if found else float(step)
+    return RewrittenHead([lines[count].replace("index", "time", 1)], count + 1, (0.0, seconds))
+
+
+def _gw_instek(lines: Sequence[str]) -> RewrittenHead:
+    """Return the head of GW Instek in detail: time and sample of each channel."""
+    said = {cells[0]: cells[1::2] for cells in (line.split(",") for line in lines[:40])}
+    count = next(k for k, line in enumerate(lines) if line.startswith("Waveform Data")) + 1
+    if {*filter(None, said["Mode"])} != {"Detail"}:
+        raise ValueError
+    heads = (f"time [s],{name} [{unit}]" for name, unit in zip(said["Source"], said["Vertical Units"], strict=True))
+    return RewrittenHead([",".join(heads)], count)
+
+
+def _kostal(lines: Sequence[str]) -> RewrittenHead:
+    """Return the head of Kostal: a legend of units for the last words of headers."""
+    count = next(k for k, line in enumerate(lines) if line.startswith("Zeit\t"))
+    units = dict(re.findall(r"(\w+)\[([^\]]+)\]", next(line for line in lines if line.startswith("Logdaten"))))
+    heads = [(name, units.get(name.split()[-1] if name.split() else "")) for name in lines[count].split("\t")]
+    return RewrittenHead(["\t".join(f"{name} [{unit}]" if unit else name for name, unit in heads)], count + 1)
+
+
+def _sunny_portal(lines: Sequence[str]) -> RewrittenHead:
+    """Return the head of Sunny Portal: a format of dates beside units, names two lines above."""
+    count = next(k for k, line in enumerate(lines) if re.match(r"[dMy.]{8,}[^;]*;", line))
+    names, units = (lines[k].split(";")[1:] for k in (count - 2, count))
+    return RewrittenHead([";".join(["time", *map("{} [{}]".format, names, units)])], count + 1)
+
+
 def _text_of_dymola(_lines: Sequence[str], source: str) -> Iterator[str]:
     raise InputError(f"{source}: a text result of Dymola. Save it as .mat or .csv.")
 
@@ -121,6 +198,9 @@ _LAYOUTS: tuple[tuple[re.Pattern[str], Callable[[Sequence[str], str], Iterator[s
     (re.compile(r'"?Record Length"?,[^,\n]*,[^,\n]*,[^,\n]*\d,[^,\n]*\d', re.IGNORECASE), _one_channel),
     (re.compile(r"#1\s*\nchar Aclass"), _text_of_dymola),
     (re.compile(r"#1\s*\n(?:\s*#.*\n|\s*\n)*\s*(?:double|float)\s"), _modelica),
+    (re.compile(r"[^\n]*\.acq\s*\n[\d.]+ m?sec/sample\s*\n\d+ channels\s*\n"), _acqknowledge),
+    *BLOCKS,
+    *KEYED,
 )
 """How the text begins, and who rewrites it."""
 
@@ -132,6 +212,13 @@ _HEADS: tuple[tuple[re.Pattern[str], Callable[[Sequence[str]], RewrittenHead]], 
     (re.compile(r"(?:\s*(?:#|TITLE\s*=)[^\n]*\n)*\s*VARIABLES\s*=", re.IGNORECASE), _tecplot),
     (re.compile(r"\"?#NAMES\"?\s*\n"), _ignition),
     (re.compile(r"X,.*\bStart,Increment\b.*\n"), _numbered),
+    (re.compile(r"%DataLog%\s*\n"), _haltech),
+    (re.compile(r"Interval=\t"), _labchart),
+    (re.compile(r"\*CREATOR\s*\n"), _msr),
+    (re.compile(r"Channel\s*:,CH\d(?:[^\n]*\n){1,20}?Time interval"), _owon),
+    (re.compile(r"Format,[\d.]+[A-Z],.*\n(?:[^\n]*\n){1,40}?Waveform Data"), _gw_instek),
+    (re.compile(r"(?:[^\n]*\n){1,6}?Logdaten U\[V\]"), _kostal),
+    (re.compile(r"(?:sep=;\s*\n)?Version CSV1\|Tool"), _sunny_portal),
 )
 """The same where only lines above the samples are rewritten."""
 

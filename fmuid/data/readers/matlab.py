@@ -56,6 +56,8 @@ def _plain(value: Any) -> Any:
     if not isinstance(value, np.ndarray):
         return value
     if value.dtype.names:
+        if value.size >= 10 and all(np.size(one) == 1 for row in value.ravel().tolist() for one in row):  # rows
+            return {name: np.array([np.ravel(one)[0] for one in value[name].ravel()]) for name in value.dtype.names}
         each = [{name: _plain(one[name]) for name in value.dtype.names} for one in value.ravel()]
         return each[0] if len(each) == 1 else each
     if value.dtype.kind == "O":

@@ -20,10 +20,12 @@ _UNIT_PROPERTIES = ("unit_string", "NI_UnitDescription", "unit")
 
 
 def read_tdms(path: Path, source: str, _sheet: object) -> FileColumns:
-    """Read the longest group of a TDMS file; waveforms get their time by increment."""
+    """Read the longest group of a TDMS file, and waveforms of others; these get their time by increment."""
     nptdms = library("nptdms", "tdms", source)
     groups = [group.channels() for group in nptdms.TdmsFile.read(path).groups()]
-    channels: list[Any] = max(groups, key=lambda found: sum(len(channel) for channel in found), default=[])
+    longest: list[Any] = max(groups, key=lambda found: sum(len(channel) for channel in found), default=[])
+    channels = [*longest, *_beside(longest, groups)]
+    elsewhere = {each.name: f"a channel of group {each.group_name!r}" for group in groups for each in group}
     length = max((len(channel) for channel in channels), default=0)
     if not length:
         raise InputError(f"{source}: the file has no channels with samples: record it again")
@@ -41,14 +43,16 @@ def read_tdms(path: Path, source: str, _sheet: object) -> FileColumns:
         found = channel.properties
         if "wf_increment" not in found or "time" in headers[: len(channels)]:
             continue
-        key = len(channel), float(found.get("wf_start_offset", 0.0)), float(found["wf_increment"])
+        start = float(found.get("wf_start_offset", 0.0)) + _seconds_between(channels[0], channel)
+        key = len(channel), start, float(found["wf_increment"])
         if key not in tracks:
             tracks[key] = len(headers)
             headers.append("time" if len(tracks) == 1 else f"time {len(tracks)}")
             values.append(key[1] + key[2] * np.arange(key[0]))
         clocks[k] = tracks[key]
     timed = [k for k, each in enumerate(values) if k in clocks or each.size == length or k >= len(channels)]
-    left_out = {
+    left_out = {name: said for name, said in elsewhere.items() if name not in headers}
+    left_out |= {
         headers[k]: f"{each.size} samples in place of {length}, without times of their own"
         for k, each in enumerate(values)
         if k not in timed
@@ -63,6 +67,23 @@ def read_tdms(path: Path, source: str, _sheet: object) -> FileColumns:
         clocks={place[k]: place[clock] for k, clock in clocks.items()} if len(tracks) > 1 else {},
         left_out=left_out,
     )
+
+
+def _beside(longest: list[Any], groups: list[list[Any]]) -> list[Any]:
+    """Return waveforms of other groups that bear other names, if the longest group has waveforms alone."""
+    others = [each for group in groups if group is not longest for each in group if len(each)]
+    names = [each.name for each in (*longest, *others)]
+    timed = all("wf_increment" in each.properties for each in (*longest, *others))
+    return others if timed and len({*names}) == len(names) else []
+
+
+def _seconds_between(first: Any, channel: Any) -> float:
+    """Return how much later than another a waveform begins, s; 0 where a start is not said."""
+    starts = [each.properties.get("wf_start_time") for each in (first, channel)]
+    if None in starts:
+        return 0.0
+    begin, own = (np.datetime64(each, "us") for each in starts)
+    return float((own - begin) / np.timedelta64(1, "s"))
 
 
 def read_mdf(path: Path, source: str, _sheet: object) -> FileColumns:

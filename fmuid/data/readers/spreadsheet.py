@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import zipfile
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from fmuid.data.cells import Cell, is_missing, may_be_number, numbers_of
@@ -26,7 +27,7 @@ def read_spreadsheet(path: Path, source: str, sheet: str | int | None) -> FileCo
         columns = [k for k in widest if not all(is_missing(row[k]) for row in filled)]
         rows = [[row[k] for k in columns] for row in filled]
         head = find_head(rows) or find_head(rows, ",")
-        tables += [] if head is None else [(rows[head.first :], head)]
+        tables += [] if head is None else [_without_notes(rows[head.first :], head)]
         if tables and len(tables[0][0]) >= 10:  # no summary
             break
     if not tables:
@@ -40,6 +41,17 @@ def read_spreadsheet(path: Path, source: str, sheet: str | int | None) -> FileCo
         if 2 * sum(not (may_be_number(cell, ".") or may_be_number(cell, ",")) for cell in texts) > len(row):
             raise InputError(f"{source}: row {k} of the samples has no number. Keep one table in a sheet.")
     return _columns(samples, head, path)
+
+
+def _without_notes(rows: list[list[Cell]], head: TableHeader) -> tuple[list[list[Cell]], TableHeader]:
+    """Return samples and header without columns that have no name and at most one cell, as titles and notes."""
+    kept = [k for k, name in enumerate(head.names) if name or sum(not is_missing(row[k]) for row in rows) > 1]
+    if len(kept) in (0, len(head.names)):
+        return rows, head
+    units = tuple(head.units[k] for k in kept) if len(head.units) == len(head.names) else head.units
+    return [[row[k] for k in kept] for row in rows], replace(
+        head, names=tuple(head.names[k] for k in kept), units=units
+    )
 
 
 def _columns(rows: list[list[Cell]], head: TableHeader, path: Path) -> FileColumns:

@@ -40,6 +40,8 @@ _MINUS = "\u2212"
 _TOO_MANY = re.compile(r"in line (?P<row>\d+), saw (?P<cells>\d+)")
 _OPEN_QUOTE = re.compile(r"inside string starting at row (?P<row>\d+)")
 """What pandas' parser says."""
+_DAMAGED = (ValueError, LookupError, AttributeError, TypeError, StopIteration, RuntimeError, csv.Error)
+"""Errors of readers of instruments on damaged texts."""
 _MARKS = sorted({form for mark in NO_SAMPLE if "inf" not in mark for form in (mark, mark.upper(), mark.title())})
 
 
@@ -53,7 +55,8 @@ def read_text(path: Path, source: str) -> RawTable:
     short = len(start) < _LOOKED_AT
     for encoding, text in decoded(start, whole=short):
         if "\0" in text:
-            raise InputError(f"{source}: not a text file. Give a table.")
+            packed = start[257:262] == b"ustar"
+            raise InputError(f"{source}: {'an archive' if packed else 'not a text file'}. Give a table.")
         if text.lstrip("\ufeff \t\r\n").startswith(("<!", "<?", "<html", "<HTML", "<table")):
             raise InputError(f"{source}: a page in HTML or XML. Save it as .xlsx or .csv.")
         if text.lstrip("\ufeff \t\r\n").upper().startswith(("CREATE TABLE", "INSERT INTO", "PRAGMA ", "BEGIN TRANS")):
@@ -90,7 +93,7 @@ def _as_table(rewrite: Callable[[Sequence[str], str], Iterator[str]], lines: Seq
     """Return the text of an instrument as a plain table."""
     try:
         return "\n".join(rewrite(lines, source)).encode()
-    except (ValueError, IndexError, csv.Error):
+    except _DAMAGED:
         raise InputError(f"{source}: damaged text of an instrument. Save it again, or as a plain table.") from None
 
 
@@ -100,7 +103,7 @@ def _with_head(
     """Return an opener with a plain head; start and step of numbered rows."""
     try:
         head = head_of(start)
-    except (ValueError, IndexError, csv.Error):
+    except _DAMAGED:
         raise InputError(f"{source}: damaged text of an instrument. Save it again, or as a plain table.") from None
     if head is None:
         return opened, None
@@ -168,6 +171,8 @@ def _says_nothing(line: str, layout: TextLayout) -> bool:
     if all(map(is_missing, row)):
         return True
     numeric = any(is_number(cell, layout.decimal) for cell in row)
+    if layout.separator == SPACES and len(row) > 2 and is_text_row(row, layout.decimal):  # a sentence has spaces
+        return True
     return len(row) < layout.width and not numeric and not line.lstrip("\"'+- ")[:1].isdigit()
 
 
