@@ -391,7 +391,10 @@ def _are_units(row: Sequence[Cell]) -> bool:
     texts = [text.strip("[]() ") for text in _texts(row)]
     there = [text for text in texts if text not in ("", "-") and not _is_clock(text)]
     known = [
-        text for text in there if is_unit(text) or ((text == texts[0] or len(text) > 2) and time_unit(text) is not None)
+        text
+        for text in there
+        if is_unit(text)
+        or ((text == texts[0] or text.lower().startswith(("sec", "sek"))) and time_unit(text) is not None)
     ]
     timed = len(there) > 2 and any(text in SECONDS or _is_clock(text) for text in texts)
     timed = timed and 2 * len(known) > len(there)

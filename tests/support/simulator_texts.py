@@ -89,6 +89,7 @@ dd.MM.yyyy HH:mm:ss;V;A;rad/s
 DAY = "{d:%d.%m.%Y %H:%M:%S.%f}"
 TABLES = {
     "GW Instek": ("a.csv", INSTEK, "{t:.6E},{u},{t:.6E},{i},{t:.6E},{w},"),
+    "Hantek": ("a.csv", "#CHANNEL,u,i,w\n#CLOCK=10mS,,,\n#SIZE=120,,,\n#UNITS=V,A,rad/s,\n", "{u},{i},{w},"),
     "Owon": ("a.csv", OWON, "{k},{u},{ma},{w}"),
     "LabChart": ("a.txt", LABCHART, "{t}\t{u}\t{i}\t{w}"),
     "AcqKnowledge": ("a.txt", ACQKNOWLEDGE, "{u}\t{i}\t{w}\t"),

@@ -474,7 +474,6 @@ SAID = {
     "two Modelica tables": "2 Modelica tables",
     "one block below another": "row 121 goes back",
     "percent in cells": "unit '%' of 'w' does not convert",
-    "rows are columns": "is no real number",
     "Tektronix TDS": "no column for the input u",
     "Keysight InfiniiVision": "no column for the output",
     "scope-matrix.mat": "no column for the output",

@@ -8,10 +8,15 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from fmuid.data.cells import is_number
+from fmuid.data.headers import split_header
+from fmuid.data.time_names import is_time_name
 from fmuid.errors import InputError
+from fmuid.units import SECONDS
 
 _QUCS = re.compile(r"<(?P<kind>indep|dep) (?P<name>\S+)(?: (?P<rest>[^>]*))?>\n(?P<values>[^<]*)</(?P=kind)>")
 _COLUMN = re.compile(r"Index\s+\S")
+_SIGNAL = r"\"?[^\W\d][^,;\t\n]*([,;\t])[ ]*[-+]?[\d.][^,;\t\n]*(?:[,;\t][ ]*[-+]?[\d.][^,;\t\n]*){5,}\s*\n"
+"""Row of a name and numbers."""
 _REAL = ("2", "4")
 """Real ordinates of UFF, dataset 58."""
 
@@ -110,6 +115,33 @@ def _weka(lines: Sequence[str], _source: str) -> Iterator[str]:
     yield from ("" if cells == "?" else cells for cells in (line.replace(",?", ",") for line in lines[begin + 1 :]))
 
 
+def _transposed(lines: Sequence[str], source: str) -> Iterator[str]:
+    """Yield a table whose rows are the signals, each after its name."""
+    mark = next(each for each in ",;\t" if each in lines[0])
+    rows = [[cell.strip() for cell in row] for row in csv.reader(filter(str.strip, lines), delimiter=mark)]
+    if not is_time_name(split_header(rows[0][0])[0]) or len({len(row) for row in rows}) != 1:
+        raise InputError(f"{source}: no header and no row of times. Write names into the first line, or transpose.")
+    yield from (mark.join(f'"{cell}"' for cell in row) for row in zip(*rows, strict=True))
+
+
+def _hantek(lines: Sequence[str], source: str) -> Iterator[str]:
+    """Yield samples of Hantek at the interval above them."""
+    said = dict(re.split(r"[:=,]", line.lstrip("#"), maxsplit=1) for line in lines if line.startswith("#"))
+    names = [name for name in said["CHANNEL"].split(",") if name.strip()]
+    units = [unit for unit in said.get("UNITS", "").split(",") if unit.strip()]
+    clock = re.fullmatch(r"([\d.]+)\s*(\w+)", said["CLOCK"].strip(", "))
+    if clock is None or len(units) not in (1, len(names)):
+        raise ValueError
+    step = float(clock[1]) * SECONDS[clock[2].lower()]
+    rows = [line.strip().rstrip(",") for line in lines if line.strip() and not line.startswith("#")]
+    count = said.get("SIZE", "").strip(", ")
+    if count.isdecimal() and len(rows) != int(count):
+        raise InputError(f"{source}: {len(rows)} rows of samples in place of {count}. Write the whole file again.")
+    heads = (f"{name.strip()} [{units[k % len(units)].strip()}]" for k, name in enumerate(names))
+    yield ",".join(("time [s]", *heads))
+    yield from (f"{step * k!r},{row}" for k, row in enumerate(rows))
+
+
 def _octave(_lines: Sequence[str], source: str) -> Iterator[str]:
     raise InputError(f"{source}: a matrix of Octave without names. Put one line of names in place of the comments.")
 
@@ -139,5 +171,7 @@ BLOCKS: tuple[tuple[re.Pattern[str], Callable[[Sequence[str], str], Iterator[str
     (re.compile(r"IGOR\s*\n"), _igor),
     (re.compile(r"(?:\s*%[^\n]*\n|\s*\n)*\s*@relation\b", re.IGNORECASE), _weka),
     (re.compile(r"(?:#[^\n]*\n)*# type: matrix"), _octave),
+    (re.compile(r"#CHANNEL[,:](?:[^\n]*\n){1,4}?#CLOCK="), _hantek),
+    (re.compile(rf"{_SIGNAL}{_SIGNAL}"), _transposed),
 )
 """How the text begins, and who rewrites it."""
