@@ -321,7 +321,7 @@ def _with_names_above(rows: Sequence[Sequence[Cell]], units: Sequence[Cell]) -> 
 
 
 def _is_clock(text: str) -> bool:
-    """Return whether a text names a time, or its format, and no unit."""
+    """Return whether a text names a time or its format."""
     return (is_time_name(text) and time_unit(text) is None) or _FORM.fullmatch(text) is not None
 
 

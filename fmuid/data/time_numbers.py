@@ -62,7 +62,7 @@ def _time_of_day(frame: pd.DataFrame) -> Any:
 
 
 def _of_hours(hours: Any, seconds: Any) -> Any:
-    """Return durations of whole hours and the seconds of each, as of OpenDSS; None for others."""
+    """Return durations of hours and seconds of each (OpenDSS); None for others."""
     if not all(pd.api.types.is_numeric_dtype(each.dtype) for each in (hours, seconds)):
         return None
     found = 3600.0 * hours + seconds

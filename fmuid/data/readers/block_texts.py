@@ -41,7 +41,7 @@ def _spice_raw(lines: Sequence[str], source: str) -> Iterator[str]:
 
 
 def _spice_pages(lines: Sequence[str], source: str) -> Iterator[str]:
-    """Yield a table that SPICE prints in pages, each with the same header."""
+    """Yield a table that SPICE prints in pages."""
     heads = {" ".join(line.split()) for line in lines if _COLUMN.match(line)}
     if len(heads) > 1:
         raise InputError(f"{source}: several printed tables. Print all columns in one, or use wrdata.")
@@ -78,7 +78,7 @@ def _ptolemy(lines: Sequence[str], source: str) -> Iterator[str]:
 
 
 def _universal(lines: Sequence[str], source: str) -> Iterator[str]:
-    """Yield time functions of a universal file (dataset 58), evenly spaced from one start."""
+    """Yield evenly spaced time functions of a universal file, dataset 58."""
     marks = [k for k, line in enumerate(lines) if line.strip() == "-1"]
     blocks = [lines[a + 1 : b] for a, b in zip(marks[::2], marks[1::2], strict=True)]
     columns: dict[str, list[str]] = {}

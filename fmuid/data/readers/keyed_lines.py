@@ -1,4 +1,4 @@
-"""Lines of logs that name each number, or begin with a stamp, rewritten as tables."""
+"""Logs with named numbers or stamped lines, rewritten as tables."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ def read_tdms(path: Path, source: str, _sheet: object) -> FileColumns:
 
 
 def _beside(longest: list[Any], groups: list[list[Any]]) -> list[Any]:
-    """Return waveforms of other groups that bear other names, if the longest group has waveforms alone."""
+    """Return waveforms of other groups, if all channels are waveforms."""
     others = [each for group in groups if group is not longest for each in group if len(each)]
     names = [each.name for each in (*longest, *others)]
     timed = all("wf_increment" in each.properties for each in (*longest, *others))

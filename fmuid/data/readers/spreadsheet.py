@@ -44,7 +44,7 @@ def read_spreadsheet(path: Path, source: str, sheet: str | int | None) -> FileCo
 
 
 def _without_notes(rows: list[list[Cell]], head: TableHeader) -> tuple[list[list[Cell]], TableHeader]:
-    """Return samples and header without columns that have no name and at most one cell, as titles and notes."""
+    """Return samples and header without columns of titles and notes."""
     kept = [k for k, name in enumerate(head.names) if name or sum(not is_missing(row[k]) for row in rows) > 1]
     if len(kept) in (0, len(head.names)):
         return rows, head
