@@ -43,6 +43,7 @@ from .noise.sandwich import ResidualNoise as ResidualNoise
 from .noise.sandwich import SandwichCovariance as SandwichCovariance
 from .noise.sandwich import sandwich as sandwich
 from .noise.sandwich import sandwich_of as sandwich_of
+from .noise.sandwich import share_left as share_left
 from .noise.uneven import uneven_levels as uneven_levels
 from .noise.whiteness_tests import CrossCorrelation as CrossCorrelation
 from .noise.whiteness_tests import FitProjection as FitProjection

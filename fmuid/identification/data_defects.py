@@ -27,6 +27,7 @@ class DataDefectSettings:
     near_limit: float = 3.0  # residual stds: samples of a model so near a clipped end do not count
     clipped_samples: int = 5  # at the end of the range; with steps only where the model goes beyond it
     same: float = 1e-6  # of the range: a simulated sample at the end
+    uneven: float = 2.0  # ratio of noise levels of few rows: closer ones are next to constant
     repeated: float = 0.1  # of the samples that repeat the one before, without a step
     least_samples: int = 50
 
@@ -52,11 +53,12 @@ class DefectKind(Enum):
     LINE_VOLTAGE = "line_voltage"  # the voltage of a supply is that between lines
     PHASE_VOLTAGE = "phase_voltage"  # ... or that of a phase
     UNEVEN = "uneven"  # the noise variance follows the signal, its slope or the time: σ allows for it
+    EITHER = "either"  # few rows: the noise may be constant or follow the signal, σ allows for both
 
     @property
     def is_doubt(self) -> bool:
         """True if estimates or intervals may be wrong."""
-        return self not in (DefectKind.UNEVEN, DefectKind.EXCLUDED, DefectKind.HUM)
+        return self not in (DefectKind.UNEVEN, DefectKind.EITHER, DefectKind.EXCLUDED, DefectKind.HUM)
 
     @property
     def explains_misfit(self) -> bool:
@@ -90,6 +92,7 @@ def find_data_defects(problem: LeastSquares, result: Result) -> tuple[DataDefect
     if noise is None:
         return ()
     found = list(_of_rows(problem, result))
+    doubted = {each.experiment for each in found}  # rows that tell nothing of the noise
     for model in noise.models:
         index = [each.name for each in problem.experiments].index(model.series.experiment)
         experiment, simulated = problem.experiments[index], result.fit.simulated[index]
@@ -97,9 +100,9 @@ def find_data_defects(problem: LeastSquares, result: Result) -> tuple[DataDefect
         counted = experiment.counted[:, column]
         measured, own = experiment.output_values[counted, column], simulated[counted, column]
         if len(measured) >= SETTINGS.least_samples and np.isfinite(own).all() and np.std(measured - own) > 0.0:
-            found += list(
-                _defects(model, measured, own, None if noise.levels is None else noise.levels[model.series.rows])
-            )
+            found += _defects(model, measured, own)
+        if noise.levels is not None and model.series.experiment not in doubted:
+            found += _uneven(model, noise.levels[model.series.rows])
     return tuple(found)
 
 
@@ -116,7 +119,7 @@ def _of_rows(problem: LeastSquares, result: Result) -> Iterator[DataDefect]:
         yield DataDefect(DefectKind(kind), output, name, {"fit": fit})
 
 
-def _defects(model: NoiseModel, measured: Floats, simulated: Floats, levels: Floats | None) -> Iterator[DataDefect]:
+def _defects(model: NoiseModel, measured: Floats, simulated: Floats) -> Iterator[DataDefect]:
     names, std = (model.series.output, model.series.experiment), float(np.std(measured - simulated))
     step = converter_step(measured)
     if step > SETTINGS.coarse * std:
@@ -131,9 +134,14 @@ def _defects(model: NoiseModel, measured: Floats, simulated: Floats, levels: Flo
         yield DataDefect(DefectKind.REPEATED, *names, {"share": share})
     for frequency in spectral_lines(model.series, measured - simulated, measured).tolist():
         yield DataDefect(DefectKind.HUM, *names, {"frequency": frequency})
-    if levels is not None and np.ptp(levels) > 0.0:
-        low, high = np.quantile(levels, (0.05, 0.95))
-        yield DataDefect(DefectKind.UNEVEN, *names, {"factor": float(high / low)})
+
+
+def _uneven(model: NoiseModel, levels: Floats) -> Iterator[DataDefect]:
+    low, high = np.quantile(levels, (0.05, 0.95))
+    is_few = len(levels) < SETTINGS.least_samples
+    if high > (SETTINGS.uneven if is_few else 1.0) * low:
+        kind = DefectKind.EITHER if is_few else DefectKind.UNEVEN
+        yield DataDefect(kind, model.series.output, model.series.experiment, {"factor": float(high / low)})
 
 
 def converter_step(values: Floats) -> float:

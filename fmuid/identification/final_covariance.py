@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from fmuid.array_types import Floats
-from fmuid.estimation import AccuracyOutcome, LeastSquares, Result, sandwich_of, uneven_levels, with_shift
+from fmuid.estimation import AccuracyOutcome, LeastSquares, Result, sandwich_of, share_left, uneven_levels, with_shift
 
 
 def with_covariance(result: Result, covariance: Floats, white: Floats, freedom: Floats) -> Result:
@@ -42,7 +42,10 @@ def include_uneven_noise(problem: LeastSquares, result: Result) -> Result:
     if local is None or not result.converged or not result.fit.is_noisy or not np.isfinite(result.std).all():
         return result
     noise, simulated = result.fit.noise, problem.measured - local.levels * local.residual
-    if problem.loss is not None or noise is None or uneven_levels(noise.models, local.residual, simulated) is None:
+    if problem.loss is not None or noise is None:
+        return result
+    left = None if len(local.prior_jacobian) else share_left(problem, local.jacobian @ local.root)
+    if uneven_levels(noise.models, local.residual, simulated, left) is None:
         return result
     found = sandwich_of(problem, local, np.zeros(problem.counts.size, dtype=np.bool_), uneven=True)
     white = local.root @ local.root.T  # without the solver error, which is added again

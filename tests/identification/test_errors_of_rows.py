@@ -192,6 +192,28 @@ def test_noise_of_load_points_that_follows_its_signal_is_in_their_intervals(rela
     assert uneven >= 8 if relative else uneven <= 1
 
 
+@pytest.mark.parametrize("relative", [True, False])
+def test_few_load_points_allow_for_noise_of_either_form(relative: bool) -> None:
+    """The variance of R by regression in closed form: 12 rows, 40 draws, no form stated; a stated one is kept."""
+    voltages = np.linspace(0.5, 12.0, 12)
+    current = voltages / 4.0
+    std = 0.01 * (current if relative else np.full(12, np.sqrt(np.mean(current**2))))
+    slope = current / 4.0
+    expected = np.sum((slope * std) ** 2) / np.sum(slope**2) ** 2
+    found, uneven = [], 0
+    for seed in range(40):
+        table = pd.DataFrame({"u": voltages, "i": current + std * np.random.default_rng(seed).standard_normal(12)})
+        experiment = SteadyExperiment(table, ["u"], ["i"])
+        problem = fmuid.Problem(COIL.fmu, experiment, {"R": FREE["R"]})
+        result = fmuid.identify(problem)
+        found.append(result.std[0] ** 2)
+        uneven += any(each.kind is DefectKind.EITHER for each in find_data_defects(problem, result))
+    assert np.mean(found) == pytest.approx(expected, rel=0.15)
+    assert uneven >= 36 if relative else uneven <= 12
+    stated = fmuid.identify(fmuid.Problem(COIL.fmu, experiment, {"R": FREE["R"]}, noise=fmuid.Noise(std=0.01)))
+    assert stated.std[0] == pytest.approx(0.01 / np.sqrt(np.sum(slope**2)), rel=0.01)
+
+
 def lower_states(u: np.ndarray) -> np.ndarray:
     """Return the lower stable roots of u + x - x³."""
     roots = [np.roots([1.0, 0.0, -1.0, -each]) for each in u]

@@ -104,13 +104,24 @@ def sandwich_of_rows(problem: LeastSquares, rows: Rows, simulated: Floats | None
     found = sandwich(rows, problem.series, problem.periods)
     levels = None
     if simulated is not None and problem.loss is None and not rows.white.any():
-        levels = uneven_levels(found.noise.models, rows.residual, simulated)
+        left = None if rows.prior.any() else share_left(problem, rows.basis)
+        levels = uneven_levels(found.noise.models, rows.residual, simulated, left)
     if levels is None:
         return found
     basis = np.linalg.qr(rows.basis / levels[:, None])[0]
     even = replace(rows, residual=rows.residual / levels, basis=basis, columns=rows.columns * levels[:, None])
     again = sandwich(even, problem.series, problem.periods)
     return replace(again, noise=replace(again.noise, levels=levels))
+
+
+def share_left(problem: LeastSquares, basis: Floats) -> Floats | None:
+    """Return the share (n,) of each variance that a fit leaves, 0 where the noise is known.
+
+    None: the form of the noise is stated.
+    """
+    if problem.levels.scale is not None:
+        return None
+    return np.where(np.isnan(problem.variance)[problem.groups], 1.0 - np.sum(basis**2, axis=1), 0.0)
 
 
 def sandwich(

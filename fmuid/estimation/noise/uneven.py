@@ -24,17 +24,30 @@ class UnevenNoiseSettings:
     level: float = 0.01  # false alarms of all outputs together
     least_variance: float = 0.01  # of the mean variance
     least_samples: int = 50
+    least_signal: float = 1e-3  # of the largest: a reading near zero has the noise of its zero
 
 
 SETTINGS = UnevenNoiseSettings()
 
 
-def uneven_levels(models: Sequence[NoiseModel], residual: Floats, simulated: Floats) -> Floats | None:
-    """Return the relative std (n,) of rows by experiment and output; None if constant."""
+def uneven_levels(
+    models: Sequence[NoiseModel], residual: Floats, simulated: Floats, left: Floats | None = None
+) -> Floats | None:
+    """Return the relative std (n,) of rows by experiment and output; None if constant.
+
+    Few rows without order tell little: their variance is the mean of constant and relative noise, by likelihood.
+    `left` (n,) is the share of each row's variance that the fit leaves; None: the form of the noise is stated.
+    """
     found, any_uneven = np.ones(len(residual)), False
     for each in models:
         rows = each.series.rows
-        if len(rows) < SETTINGS.least_samples or not np.isfinite(simulated[rows]).all():
+        if not np.isfinite(simulated[rows]).all():
+            continue
+        if len(rows) < SETTINGS.least_samples:
+            if left is not None and not each.series.ordered:
+                variance = _either(residual[rows] ** 2, simulated[rows], left[rows])
+                if variance is not None:
+                    found[rows], any_uneven = np.sqrt(variance), True
             continue
         squares, level = each.whiten(residual[rows]) ** 2, SETTINGS.level / len(models)
         variance = _variance(squares, simulated[rows], level, ordered=each.series.ordered)
@@ -61,6 +74,20 @@ def _variance(squares: Floats, signal: Floats, level: float, *, ordered: bool) -
     if 2.0 * special.ndtr(-score) * len(columns) > level:
         return None
     return _most_likely(squares, signals[i])
+
+
+def _either(squares: Floats, signal: Floats, left: Floats) -> Floats | None:
+    """Return the relative variance (n,) of noise that is constant or relative, None if alike."""
+    signal = np.maximum(np.abs(signal), SETTINGS.least_signal * np.abs(signal).max(initial=0.0))
+    count = float(left.sum())
+    if not squares.any() or count < 1.0 or np.ptp(signal) == 0.0:
+        return None
+    forms = np.stack([np.ones_like(signal), signal**2])
+    variances = (squares / forms).sum(axis=1) / count
+    cost = 0.5 * (np.log(forms) @ left + count * np.log(variances))
+    likely = special.softmax(-cost)
+    found = (likely * variances) @ forms
+    return np.asarray(found / found.mean())
 
 
 def _most_likely(squares: Floats, signal: Floats) -> Floats:

@@ -126,6 +126,10 @@ class DefectMessage(Message, section="residuals"):
         "Set `voltage` in place of `line_voltage` in `frame`.",
     )
     UNEVEN = plain("noise of {output} is uneven ({factor:.2g} ×)", "it follows the signal or time: σ allows for it")
+    EITHER = plain(
+        "few rows of {output}: noise may be constant or follow the reading",
+        "σ allows for both; set `noise.std` or `noise.reading_std` if it is known",
+    )
 
 
 class HidingMessage(Message, section="hiding"):
