@@ -115,9 +115,9 @@ def sandwich_of_rows(problem: LeastSquares, rows: Rows, simulated: Floats | None
 
 
 def share_left(problem: LeastSquares, basis: Floats) -> Floats | None:
-    """Return the share (n,) of each variance that a fit leaves, 0 where the noise is known.
+    """Return the share (n,) of each variance that a fit leaves.
 
-    None: the form of the noise is stated.
+    0 where the noise is known; None: its form is stated.
     """
     if problem.levels.scale is not None:
         return None

@@ -77,7 +77,7 @@ def _variance(squares: Floats, signal: Floats, level: float, *, ordered: bool) -
 
 
 def _either(squares: Floats, signal: Floats, left: Floats) -> Floats | None:
-    """Return the relative variance (n,) of noise that is constant or relative, None if alike."""
+    """Return the relative variance (n,), the mean of both forms."""
     signal = np.maximum(np.abs(signal), SETTINGS.least_signal * np.abs(signal).max(initial=0.0))
     count = float(left.sum())
     if not squares.any() or count < 1.0 or np.ptp(signal) == 0.0:
