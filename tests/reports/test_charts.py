@@ -46,7 +46,7 @@ def test_fit_with_band() -> None:
         "residual (A)",
         "y1 (A)",
         "residual (A)",
-        "squared residual (%)",
+        "residual² (%)",
     ]
     assert [each.x.shown for each in charts] == [False, False, False, False, True]
     assert {(each.x.label, each.x.linked) for each in charts} == {("time (s)", "time")}

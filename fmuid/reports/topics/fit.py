@@ -218,7 +218,7 @@ def _location_chart(fit: OutputFit, rows: slice, across: Axis) -> Chart:
     hover = (("from", "@x{0.0000} s"), ("share", "@y{0.0} %"))
     layers = (Layer("step", data, "red", hover=hover), *uncounted(fit, rows))
     height = 110 if fit.inputs is not None else 140
-    return Chart(across, Axis("squared residual (%)", ticks=3, reach=(0.0, None)), layers, height, crosshair=True)
+    return Chart(across, Axis("residual² (%)", ticks=3, reach=(0.0, None)), layers, height, crosshair=True)
 
 
 def _input_charts(fit: OutputFit, rows: slice, across: Axis) -> list[Chart]:
@@ -252,6 +252,6 @@ def _input_charts(fit: OutputFit, rows: slice, across: Axis) -> list[Chart]:
 def uncounted(fit: OutputFit, rows: slice = slice(None)) -> list[Layer]:
     """Return the grey zone of the warm-up."""
     counted = np.asarray(fit.counted[rows].any(axis=1))
-    if not counted.any() or counted[0]:
+    if fit.kind != "time" or not counted.any() or counted[0]:
         return []
     return [Layer("zone", {"right": float(fit.times[rows][int(counted.argmax())])}, "grey", alpha=0.18)]

@@ -21,7 +21,7 @@ from fmuid.apps.cli.options import DONE
 from fmuid.apps.workbench import Folder
 from fmuid.apps.workbench.home import _results, _studies
 from fmuid.apps.workbench.pages.batch import BatchPage, case_settings
-from fmuid.apps.workbench.pages.live import ZoomedFit
+from fmuid.apps.workbench.pages.live import LiveFit, ZoomedFit
 from fmuid.apps.workbench.pages.new import NewPage
 from fmuid.apps.workbench.pages.remedy_panel import UndeterminedResult
 from fmuid.apps.workbench.pages.results import PredictAction, WriteAction, _compared, build
@@ -168,6 +168,27 @@ def test_long_fit_is_downsampled_for_each_interval() -> None:
     due.pop()()
     assert shown()["line"]["x"][[0, -1]].tolist() == [0.0, 10.0]
     assert len(shown()["line"]["x"]) < 5000
+
+
+def test_a_spectrum_is_drawn_over_its_frequencies() -> None:
+    """Rows fall in frequency; a zoom shows those between two frequencies."""
+    frequency = np.logspace(3.0, -1.0, 41)
+    measured, simulated = np.sqrt(frequency)[:, None], 1.1 * np.sqrt(frequency)[:, None]
+    axis = {"frequency": frequency}
+    counted, rows = np.ones((41, 1), dtype=bool), np.arange(41.0)
+    record = OutputFit("sweep", rows, ("Z.real",), ("Ohm",), measured, simulated, counted, "frequency", axis)
+    due = list[Any]()
+    drawn = LiveFit(record, due.append, "light")
+    across = drawn.grid.charts[0].x
+    assert (across.kind, across.label) == ("log", "frequency (Hz)")
+    drawn.across.update(start=0.95, end=10.5)
+    due.pop()()
+    drawn.draw(2.0 * simulated)
+    layers = {each.mark: dict(each.data) for each in drawn.grid.charts[0].layers if each.label != "last optimum"}
+    inside = slice(9, 22)  # one more at each end
+    np.testing.assert_allclose(layers["points"]["x"], frequency[::-1][inside])
+    np.testing.assert_allclose(layers["points"]["y"], measured[::-1][inside, 0], rtol=1e-6)
+    np.testing.assert_allclose(layers["line"]["y"], 2.0 * simulated[::-1][inside, 0], rtol=1e-6)
 
 
 def test_pages_without_their_files_are_refused(tmp_path: Path) -> None:

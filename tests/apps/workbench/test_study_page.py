@@ -386,7 +386,7 @@ def test_rows_without_a_time_follow_the_sliders(tmp_path: Path, table: str) -> N
     text = f'[model]\nfmu = "{COIL}"\n[[experiments]]\nkind = "{kind}"\ndata = "table.csv"\n{roles}\n[parameters]\n'
     path = coil_study(tmp_path, text + "R = { start = 4.0, min = 1.0, max = 9.0 }\n")
     page = Page(path)
-    assert page.page.live.grid.charts[0].x.label == "row"
+    assert page.page.live.grid.charts[0].x.label == ("frequency (Hz)" if spectral else "row")
     page.rows["R"].slider.value = page.rows["R"].slider.end
     page.settle()
     value = page.rows["R"].value

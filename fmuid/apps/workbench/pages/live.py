@@ -12,7 +12,7 @@ import numpy as np
 from bokeh.models import ColumnDataSource, Range1d
 
 from fmuid.apps.workbench.widgets import on_change
-from fmuid.array_types import Floats
+from fmuid.array_types import Floats, Indices
 from fmuid.data import evenly, extremes
 from fmuid.formatting import label
 from fmuid.reports.chart import LIMITS, Axis, Chart, ChartGrid, Figure, Layer, short, stacked
@@ -125,7 +125,8 @@ class LiveFit:
     def __init__(self, record: OutputFit, later: Later, scheme: str) -> None:
         self.record, self._ghost = record, np.full_like(record.simulated, np.nan)
         self.outputs = range(min(len(record.outputs), LIMITS.outputs))
-        self.stretch = TimeRange(record.times, later, lambda: self.draw(self.record.simulated))
+        self._x, self._order, self._across = _axis(record)
+        self.stretch = TimeRange(self._x, later, lambda: self.draw(self.record.simulated))
         self.across = self.stretch.across
         self._shown: tuple[float, float] | None = None
         self._still: tuple[Floats, Floats, Floats, Floats] | None = None
@@ -146,7 +147,7 @@ class LiveFit:
         self._drawing.refill([new], [self.grid])
         self.grid = new
         rows = self.stretch.rows
-        shown, measured = simulated[rows], self.record.measured[rows]
+        shown, measured = (each[self._order][rows] for each in (simulated, self.record.measured))
         with np.errstate(invalid="ignore", over="ignore"):
             for j in self.outputs:
                 self._reach(j, shown[:, j], measured[:, j], measured[:, j] - shown[:, j])
@@ -160,10 +161,10 @@ class LiveFit:
     def _kept(self, rows: slice) -> tuple[Floats, Floats, Floats, Floats]:
         """Return times and measured dots, times and last optimum; a drag of a parameter keeps them."""
         if self._still is None or (rows.start, rows.stop) != self._shown:
-            times, count = self.record.times[rows], len(self.outputs)
-            some, ghost = evenly(len(times), DOTS), self._ghost[rows, :count]
+            times, count = self._x[rows], len(self.outputs)
+            some, ghost = evenly(len(times), DOTS), self._ghost[self._order][rows, :count]
             kept = extremes(ghost, ROWS)
-            dots = short(np.ascontiguousarray(self.record.measured[rows, :count][some].T))
+            dots = short(np.ascontiguousarray(self.record.measured[self._order][rows, :count][some].T))
             self._still = times[some], dots, times[kept], short(np.ascontiguousarray(ghost[kept].T))
             self._columns = [list(dots), list(self._still[3])]
             self._shown = rows.start, rows.stop
@@ -172,15 +173,14 @@ class LiveFit:
     def _grid(self) -> ChartGrid:
         rows, count = self.stretch.rows, len(self.outputs)
         t_dots, _, t_ghost, _ = self._kept(rows)
-        shown, measured = self.record.simulated[rows, :count], self.record.measured[rows, :count]
+        tables = self.record.simulated, self.record.measured
+        shown, measured = (each[self._order][rows, :count] for each in tables)
         with np.errstate(invalid="ignore", over="ignore"):
             residual = measured - shown
             some = extremes(np.hstack([shown, residual]), ROWS)
-        thin, grey = self.record.times[rows][some], uncounted(self.record)
-        across = Axis("time (s)" if self.record.kind == "time" else "row", linked="time", ticks=8)
-        size, charts = 3 if len(self.record.times) > DOTS else 5, []
-        at = ("time", "@x{0.0000} s") if self.record.kind == "time" else ("row", "@x")
-        hover = (at, ("simulated", "@y{0.00000}"), ("residual", "@r{0.00000}"))
+        thin, grey, across = self._x[rows][some], uncounted(self.record), self._across
+        size, charts = 3 if len(self._x) > DOTS else 5, []
+        hover = ((across.label, "@x{0.0000}"), ("simulated", "@y{0.00000}"), ("residual", "@r{0.00000}"))
         for j in self.outputs:
             line, rest = short(shown[some, j]), short(residual[some, j])
             last = j == self.outputs[-1]
@@ -215,6 +215,14 @@ class LiveFit:
         if most and math.isfinite(most) and not 0.25 * lower.end < most < lower.end:
             end = _round_up(1.05 * most)
             lower.update(start=-end, end=end)
+
+
+def _axis(record: OutputFit) -> tuple[Floats, Indices | slice, Axis]:
+    """Return the abscissa (K,), the order of rows along it, and its axis."""
+    if record.kind != "frequency":
+        return record.times, slice(None), Axis("time (s)" if record.kind == "time" else "row", linked="time", ticks=8)
+    order = np.argsort(record.axis["frequency"], kind="stable")
+    return record.axis["frequency"][order], order, Axis(label("frequency", "Hz"), "log", linked="time")
 
 
 def _round_up(value: float) -> float:
