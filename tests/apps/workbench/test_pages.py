@@ -184,7 +184,8 @@ def test_a_spectrum_is_drawn_over_its_frequencies() -> None:
     drawn.across.update(start=0.95, end=10.5)
     due.pop()()
     drawn.draw(2.0 * simulated)
-    layers = {each.mark: dict(each.data) for each in drawn.grid.charts[0].layers if each.label != "last optimum"}
+    drawn_layers = (each for each in drawn.grid.charts[0].layers if each.label != "last optimum")
+    layers: dict[str, dict[str, Any]] = {each.mark: dict(each.data) for each in drawn_layers}
     inside = slice(9, 22)  # one more at each end
     np.testing.assert_allclose(layers["points"]["x"], frequency[::-1][inside])
     np.testing.assert_allclose(layers["points"]["y"], measured[::-1][inside, 0], rtol=1e-6)
