@@ -218,7 +218,7 @@ class LiveFit:
 
 
 def _axis(record: OutputFit) -> tuple[Floats, Indices | slice, Axis]:
-    """Return the abscissa (K,), the order of rows along it, and its axis."""
+    """Return the abscissa (K,), the order of rows, and the axis."""
     if record.kind != "frequency":
         return record.times, slice(None), Axis("time (s)" if record.kind == "time" else "row", linked="time", ticks=8)
     order = np.argsort(record.axis["frequency"], kind="stable")
