@@ -96,10 +96,12 @@ def _signs(experiment: Experiment, simulated: Floats) -> list[OtherConvention]:
     pairs = zip(experiment.output_values.T, simulated.T, experiment.counted.T, strict=True)
     against = [bool(own.any()) and _are_opposite(measured[own], outputs[own]) for measured, outputs, own in pairs]
     names = [name for name, each in zip(experiment.output_names, against, strict=True) if each]
+    alike = ""  # all outputs reversed look like all inputs reversed
     if all(against) and experiment.input_names:
-        names = list(experiment.input_names)
-    subjects = [[name] for name in names] + ([names] if len(names) > 1 else [])
-    return [OtherConvention(DefectKind.SIGN, ", ".join(each), _reversed(experiment, each)) for each in subjects]
+        names, alike = list(experiment.input_names), f" or {', '.join(names)}"
+    subjects = {name: [name] for name in names} if len(names) > 1 else {}
+    subjects |= {", ".join(names) + alike: names} if names else {}
+    return [OtherConvention(DefectKind.SIGN, each, _reversed(experiment, own)) for each, own in subjects.items()]
 
 
 def _are_opposite(measured: Floats, simulated: Floats) -> bool:

@@ -153,7 +153,8 @@ static bool step3(Simulation *self, size_t c, double until) {
 bool show_states(Simulation *self, size_t sample) {
   Integrator *integrator = self->plan->components[0].integrator;
   if (self->plan->components[0].mode == IN_EVENTS && !leave_events(self, 0, self->now)) return false;
-  return integrated(self, 0, integrator_show(integrator, self->now, self->states + sample * (size_t)self->grid->n_states));
+  return integrated(self, 0,
+                    integrator_show(integrator, self->now, self->states + sample * (size_t)self->grid->n_states));
 }
 
 /* Correct the states of the only component by the errors of the outputs. */
