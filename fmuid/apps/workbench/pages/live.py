@@ -180,7 +180,8 @@ class LiveFit:
             some = extremes(np.hstack([shown, residual]), ROWS)
         thin, grey, across = self._x[rows][some], uncounted(self.record), self._across
         size, charts = 3 if len(self._x) > DOTS else 5, []
-        hover = ((across.label, "@x{0.0000}"), ("simulated", "@y{0.00000}"), ("residual", "@r{0.00000}"))
+        at = ("time", "@x{0.0000} s") if self.record.kind == "time" else (across.label, "@x")
+        hover = (at, ("simulated", "@y{0.00000}"), ("residual", "@r{0.00000}"))
         for j in self.outputs:
             line, rest = short(shown[some, j]), short(residual[some, j])
             last = j == self.outputs[-1]
