@@ -96,7 +96,7 @@ def dates_of_days(values: Any, column: str, unit: str | None) -> Any:
 
 def may_be_fractions(values: Any) -> bool:
     """Return whether whole numbers are rather ms, µs or ns: no logger samples each 1000 s or 4321 s."""
-    if not pd.api.types.is_integer_dtype(values.dtype) or len(values) < 3:
+    if not pd.api.types.is_integer_dtype(values.dtype) or len(values) < 2:
         return False
     step = float(np.median(np.abs(np.diff(values))))
     return step >= 1000.0 and step % SECONDS["min"] != 0
