@@ -209,7 +209,7 @@ def _unit_by_dates(raw: RawTable, clock: _Clock, dated: _Clock) -> str | None:
     bare = clock.begin is None and _unit_said(raw, clock.name) is None and pd.api.types.is_numeric_dtype(column.dtype)
     if not bare or dated.begin is None:
         return None
-    span, length = (float(np.nanmax(each) - np.nanmin(each)) for each in (clock.seconds(), dated.seconds()))
+    span, length = (float(np.fmax.reduce(each) - np.fmin.reduce(each)) for each in (clock.seconds(), dated.seconds()))
     units = ("ms", "min", "h", "d")
     return next((each for each in units if abs(span * SECONDS[each] - length) < 0.01 * length), None)
 
@@ -219,8 +219,8 @@ def _is_data(raw: RawTable, name: str) -> bool:
 
 
 def _overlap(one: Floats, other: Floats) -> bool:
-    first, last = max(np.nanmin(one), np.nanmin(other)), min(np.nanmax(one), np.nanmax(other))
-    return bool(last > first)
+    first = np.maximum(np.fmin.reduce(one), np.fmin.reduce(other))
+    return bool(np.minimum(np.fmax.reduce(one), np.fmax.reduce(other)) > first)
 
 
 def _likely_clock(raw: RawTable, name: str, unit: str | None, usual: str | None, source: str) -> _Clock | None:
