@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from fmuid.errors import InputError
 
@@ -15,26 +15,13 @@ _MONITOR = re.compile(r"(?:(?P<stamp>\d{1,2}:\d{2}:\d{2}\.\d+) -> )?(?P<rest>.*)
 _INFLUX = re.compile(r"(?P<series>\S+) (?P<rest>\S+) (?P<stamp>\d{19})")
 
 
-def _of_pairs(lines: Sequence[tuple[str, str]], source: str) -> Iterator[str]:
-    """Yield a header and rows of stamps and ``name=value``; all lines must name the same."""
-    names: list[str] | None = None
-    for number, (stamp, rest) in enumerate(lines, start=1):
-        pairs = [(each["name"], each["value"]) for each in _PAIR.finditer(rest)]
-        found = [name for name, _ in pairs]
-        if names is None:
-            names = found
-            yield ",".join(["time", *names] if stamp else names)
-        if found != names:
-            said = f"line {number} has other names than the first"
-            raise InputError(f"{source}: {said}. Keep lines of one kind.")
-        yield ",".join([stamp, *(value for _, value in pairs)] if stamp else [value for _, value in pairs])
+Pairs = Sequence[tuple[str, str]]  # names and values of a line
 
 
-def _logfmt(lines: Sequence[str], source: str) -> Iterator[str]:
-    """Yield lines such as ``ts=2026-11-28T10:00:00Z u=12.1 i=0.3``."""
+def _table(lines: Iterable[Pairs], source: str) -> Iterator[str]:
+    """Yield a header and rows; all lines must name the same."""
     names: list[str] | None = None
-    for number, line in enumerate(filter(str.strip, lines), start=1):
-        pairs = [(each["name"], each["value"].strip('"')) for each in _TOKEN.finditer(line)]
+    for number, pairs in enumerate(lines, start=1):
         found = [name for name, _ in pairs]
         if names is None:
             names = found
@@ -42,6 +29,21 @@ def _logfmt(lines: Sequence[str], source: str) -> Iterator[str]:
         if found != names:
             raise InputError(f"{source}: line {number} has other names than the first. Keep lines of one kind.")
         yield ",".join(f'"{value}"' if "," in value else value for _, value in pairs)
+
+
+def _of_pairs(lines: Sequence[tuple[str, str]], source: str) -> Iterator[str]:
+    """Yield a table of stamps and ``name=value``."""
+    pairs = ([(each["name"], each["value"]) for each in _PAIR.finditer(rest)] for _, rest in lines)
+    stamped = zip((stamp for stamp, _ in lines), pairs, strict=True)
+    return _table(([("time", stamp), *own] if stamp else own for stamp, own in stamped), source)
+
+
+def _logfmt(lines: Sequence[str], source: str) -> Iterator[str]:
+    """Yield lines such as ``ts=2026-11-28T10:00:00Z u=12.1 i=0.3``."""
+    written = filter(str.strip, lines)
+    return _table(
+        ([(each["name"], each["value"].strip('"')) for each in _TOKEN.finditer(line)] for line in written), source
+    )
 
 
 def _influx(lines: Sequence[str], source: str) -> Iterator[str]:

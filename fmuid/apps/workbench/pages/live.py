@@ -147,7 +147,7 @@ class LiveFit:
         self._drawing.refill([new], [self.grid])
         self.grid = new
         rows = self.stretch.rows
-        shown, measured = (each[self._order][rows] for each in (simulated, self.record.measured))
+        shown, measured = self._rows_of(simulated, rows), self._rows_of(self.record.measured, rows)
         with np.errstate(invalid="ignore", over="ignore"):
             for j in self.outputs:
                 self._reach(j, shown[:, j], measured[:, j], measured[:, j] - shown[:, j])
@@ -162,19 +162,23 @@ class LiveFit:
         """Return times and measured dots, times and last optimum; a drag of a parameter keeps them."""
         if self._still is None or (rows.start, rows.stop) != self._shown:
             times, count = self._x[rows], len(self.outputs)
-            some, ghost = evenly(len(times), DOTS), self._ghost[self._order][rows, :count]
+            some, ghost = evenly(len(times), DOTS), self._rows_of(self._ghost, rows)[:, :count]
             kept = extremes(ghost, ROWS)
-            dots = short(np.ascontiguousarray(self.record.measured[self._order][rows, :count][some].T))
+            dots = short(np.ascontiguousarray(self._rows_of(self.record.measured, rows)[some, :count].T))
             self._still = times[some], dots, times[kept], short(np.ascontiguousarray(ghost[kept].T))
             self._columns = [list(dots), list(self._still[3])]
             self._shown = rows.start, rows.stop
         return self._still
 
+    def _rows_of(self, table: Floats, rows: slice) -> Floats:
+        """Return visible rows of a table (K, m), along the abscissa."""
+        return np.asarray(table[self._order][rows])
+
     def _grid(self) -> ChartGrid:
         rows, count = self.stretch.rows, len(self.outputs)
         t_dots, _, t_ghost, _ = self._kept(rows)
         tables = self.record.simulated, self.record.measured
-        shown, measured = (each[self._order][rows, :count] for each in tables)
+        shown, measured = (self._rows_of(each, rows)[:, :count] for each in tables)
         with np.errstate(invalid="ignore", over="ignore"):
             residual = measured - shown
             some = extremes(np.hstack([shown, residual]), ROWS)
