@@ -1,9 +1,11 @@
-"""Errors of fmuid: few kinds, one sentence each, with their data."""
+"""Errors of fmuid: few kinds, one sentence each, with their data; warnings of its loggers."""
 
 from __future__ import annotations
 
+import logging
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 
 
 class FmuidError(Exception):
@@ -115,3 +117,15 @@ class SimulationError(FmuidError):
 
 class SensitivityUnavailableError(FmuidError):
     """The model has no derivatives here, for a reason in the text."""
+
+
+@contextmanager
+def warnings_to(take: Callable[[logging.LogRecord], object]) -> Iterator[None]:
+    """Pass the warnings of fmuid's loggers to a function meanwhile."""
+    handler, logger = logging.Handler(logging.WARNING), logging.getLogger("fmuid")
+    handler.emit = take  # type: ignore[assignment,method-assign]
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)

@@ -59,6 +59,11 @@ def listed(words: Sequence[str]) -> str:
     return "".join(words) if len(words) < 2 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
+def counted(number: int, noun: str) -> str:
+    """Return a number of things: ``1 sample``, ``2 samples``."""
+    return f"{number} {noun}{'s' * (number != 1)}"
+
+
 def rounded(value: float, std: float) -> str:
     """Return a value to two digits of σ, or six digits."""
     if not (math.isfinite(std) and std > 0 and math.isfinite(value)):

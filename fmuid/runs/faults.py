@@ -44,10 +44,8 @@ def build_monitor(study: Study, rule: Rule) -> Monitor:
     """Return the monitor of the faults of a study's ``[diagnosis]``."""
     settings = study.fault_search
     faults = settings.fault_models(study.system, study.model, study.data)
-    try:
+    with settings.place.located():
         return Monitor(_healthy(study), faults, study.system, rule, settings.causes, settings.fault_model_error)
-    except InputError as error:
-        raise InputError(f"{settings.place}: {error}") from None
 
 
 def design_of(study: Study, fault: str) -> Design:
@@ -86,10 +84,8 @@ def extended_baseline(study: Study, tables: Sequence[str | Path]) -> tuple[Path,
     faults, known = settings.fault_models(study.system, study.model, study.data), _healthy(study)
     path = settings.baseline_file
     records = list(records_like(study, [Path(table) for table in tables]))
-    try:
+    with settings.place.located():
         made = extend_stored_baseline(known, faults, study.system, settings.causes, records)
-    except InputError as error:
-        raise InputError(f"{settings.place}: {error}") from None
     return made.write(path), made
 
 

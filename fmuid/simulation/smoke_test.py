@@ -10,8 +10,7 @@ import logging
 import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import partial
@@ -22,7 +21,7 @@ import pandas as pd
 
 from fmuid.codec import as_json, from_json
 from fmuid.data import Experiment
-from fmuid.errors import FmuidError, SimulationError
+from fmuid.errors import FmuidError, SimulationError, warnings_to
 from fmuid.models import FMU, Description, SolverConfiguration
 from fmuid.processes import watch_lifeline
 from fmuid.simulation.instance import Instance
@@ -92,7 +91,7 @@ def default_times(description: Description, kind: str, share: float = 1.0) -> tu
 def attempt(path: Path, kind: str, share: float, target: Path) -> SmokeReport:
     """Instantiate an FMU and simulate it twice; write the report to `target`."""
     report = SmokeReport()
-    with _warnings(report):
+    with warnings_to(partial(_note, report)):
         try:
             _run(report, FMU(path), kind, share, target)
         except SimulationError as error:
@@ -141,22 +140,13 @@ def observed(description: Description) -> list[str]:
     return (numbers or local)[:200]
 
 
-@contextmanager
-def _warnings(report: SmokeReport) -> Iterator[None]:
-    class Collect(logging.Handler):
-        def emit(self, record: logging.LogRecord) -> None:
-            whose = f"{record.args[0]}: " if isinstance(record.args, tuple) and record.args else ""
-            text = record.getMessage().removeprefix(whose)  # there is only one FMU
-            found = report.no_reset if getattr(record, "no_reset", False) else report.warnings
-            if text not in found:
-                found.append(text)
-
-    logger, handler = logging.getLogger("fmuid"), Collect(logging.WARNING)
-    logger.addHandler(handler)
-    try:
-        yield
-    finally:
-        logger.removeHandler(handler)
+def _note(report: SmokeReport, record: logging.LogRecord) -> None:
+    """Note a warning once."""
+    whose = f"{record.args[0]}: " if isinstance(record.args, tuple) and record.args else ""
+    text = record.getMessage().removeprefix(whose)  # there is only one FMU
+    found = report.no_reset if getattr(record, "no_reset", False) else report.warnings
+    if text not in found:
+        found.append(text)
 
 
 def main(arguments: Sequence[str]) -> None:

@@ -173,9 +173,13 @@ class DiagnosisSection(StudySection):
     @property
     def baseline_file(self) -> Path:
         """Place of the stored baseline, beside the healthy result."""
+        return self._known_source.path.with_name(BASELINE_FILE)
+
+    @property
+    def _known_source(self) -> PriorSource:
         if self.source is None:
             raise InputError("missing key 'baseline'. Set baseline = \"healthy/result.json\".")
-        return self.source.path.with_name(BASELINE_FILE)
+        return self.source
 
     def fault_models(self, system: System, model: ParsedModel, data: Mapping[str, Any]) -> dict[str, Fault]:
         """Return the faults; `data` is the content of the study file."""
@@ -190,10 +194,9 @@ class DiagnosisSection(StudySection):
         """Return the healthy machine; `read` reads its data."""
         from fmuid.diagnosis import Baseline, StoredBaseline
 
-        if self.source is None:
-            raise InputError("missing key 'baseline'. Set baseline = \"healthy/result.json\".")
+        source = self._known_source
         records = [read(path) for path in self.healthy_data]
         trials = {name: [read(path) for path in paths] for name, paths in self.known_fault_data.items()}
         variance = noise.given_variance()
         shown = None if self.kept is None else StoredBaseline.read(self.kept, needed=not records)
-        return Baseline(self.source.result, self.std_factor, variance, parameters, model.values, records, trials, shown)
+        return Baseline(source.result, self.std_factor, variance, parameters, model.values, records, trials, shown)

@@ -90,13 +90,13 @@ def test_a_spectrum_gives_the_winding(folder: Path) -> None:
 
 
 def test_a_monte_carlo_study_of_a_spectrum_has_relative_noise(folder: Path) -> None:
-    """The mean relative noise variance is that of 60 realizations; both parts of a response fit alike."""
-    drawn = "[batch.monte_carlo]\nrealizations = 60\nreading_std = { Z = 0.01 }\ntrue_values = { R = 4.0, L = 0.1 }\n"
+    """The mean relative noise variance is that of 15 realizations; both parts of a response fit alike."""
+    drawn = "[batch.monte_carlo]\nrealizations = 15\nreading_std = { Z = 0.01 }\ntrue_values = { R = 4.0, L = 0.1 }\n"
     run = CaseRunner(study_of(folder, SPECTRUM + drawn))
-    table = pd.DataFrame([run(k).row for k in range(60)])
+    table = pd.DataFrame([run(k).row for k in range(15)])
     magnitude = pd.read_csv(folder / "spectrum.csv")["|Z| (Ohm)"]
     relative = table["noise.Z.magnitude"] / np.mean(magnitude**2)
-    assert relative.mean() == pytest.approx(1e-4, rel=4.0 * np.sqrt(2.0 / (60 * 80)))
+    assert relative.mean() == pytest.approx(1e-4, rel=4.0 * np.sqrt(2.0 / (15 * 80)))
     assert (table["fit.Z.magnitude"] == table["fit.Z.phase"]).all()
     assert table["fit.Z.phase"].mean() == pytest.approx(100.0 * (1.0 - 0.01 * np.sqrt(2.0)), abs=0.1)
 

@@ -16,7 +16,7 @@ from fmuid.apps.workbench.jobs import Jobs
 from fmuid.apps.workbench.page_layout import own_file, style, template, variables
 from fmuid.apps.workbench.project_folder import Folder, FoundResult, FoundStudy
 from fmuid.errors import InputError
-from fmuid.formatting import listed, with_std
+from fmuid.formatting import counted, listed, with_std
 from fmuid.reports.render.html import text as escaped
 
 # Readable files that commands write; models and others are not served.
@@ -79,7 +79,7 @@ def _study(folder: Folder, study: FoundStudy, results: Sequence[FoundResult], *,
     own = sorted(filter(study.has_run, results), key=lambda each: each.path.stat().st_mtime)
     last = next((each for each in reversed(own) if each.kind == "identification"), own[-1] if own else None)
     state = badge("running") if running else badge("not run yet") if last is None else _state(last, study)
-    what = f"{len(study.parameters)} parameters, {len(study.tables)} data file{'' if len(study.tables) == 1 else 's'}"
+    what = f"{len(study.parameters)} parameters, {counted(len(study.tables), 'data file')}"
     more = f"; also {listed(study.asks)}" if study.asks else ""
     study_page = f'<a class=go href="{address("study", folder, study.path)}">Simulate and identify</a>'
     links = study_page if study.parameters else ""

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from fmuid.data import extremes
+from fmuid.formatting import counted
 from fmuid.reports.chart import LIMITS, Axis, Chart, ChartGrid, Color, Dash, Layer, Units, named, short, stacked
 from fmuid.reports.document import Document, Message, Remark, Section, Table, doubt, origin_of, plain, table_of
 from fmuid.reports.topics.model_comparison import ranked_bars
@@ -99,7 +100,7 @@ def sensitivity_document(
         heading = f"Sensitivities: {name}" if len(tables) > 1 else "Sensitivities"
         key, caption = (f"sensitivities-{k + 1}", "") if k else ("sensitivities", SENSITIVITIES)
         sections.append(Section(key, heading, caption, charts=(sensitivity_charts(rows, units),), beside=1))
-    state = f"{len(tables)} experiment{'s' * (len(tables) > 1)}"
+    state = counted(len(tables), "experiment")
     said = DesignMessage.SENSITIVITIES.said("sensitivities")
     return Document("sensitivities", "Sensitivities", state, "good", (said,), tuple(sections), **origin_of(origin))
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from fmuid.array_types import Floats
 from fmuid.data import evenly, extremes
-from fmuid.formatting import fit_text, label, with_unit
+from fmuid.formatting import counted, fit_text, label, with_unit
 from fmuid.identification import ResidualStretch, squared_residual
 from fmuid.reports.chart import LIMITS, Axis, Chart, ChartGrid, Color, Data, Layer, short, stacked
 from fmuid.reports.document import Document, Message, Remark, Section, doubt, plain, table_of_rows
@@ -93,8 +93,8 @@ def _score(fit: float, rmse: float, unit: str | None) -> str:
 
 def simulation_document(fits: Sequence[OutputFit]) -> Document:
     """Return the document of a simulation: fit and RMSE."""
-    state = f"{len(fits)} experiment{'s' * (len(fits) > 1)}"
-    return Document("simulation", "Simulation", state, "good", tuple(fit_remarks(fits)), (scores_section(fits),))
+    state, said = counted(len(fits), "experiment"), tuple(fit_remarks(fits))
+    return Document("simulation", "Simulation", state, "good", said, (scores_section(fits),))
 
 
 def scores_section(fits: Sequence[OutputFit]) -> Section:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import chain
 from textwrap import shorten
 
-from fmuid.formatting import bounded, unit_text
+from fmuid.formatting import bounded, counted, unit_text
 from fmuid.models import PHASOR_FORMULAS, FmuSummary, System, Variable, VariableRow, lines, machine_of
 from fmuid.reports.document import TERMINAL_ROWS, Document, Remark, Section, table_of, table_of_rows
 from fmuid.reports.topics.solver_check import capability_words, run_words
@@ -40,7 +40,7 @@ def facts_document(found: FmuSummary, width: int | None = None) -> Document:
         units = table_of({"unit": others, "accepted instead": others.values()}, ("accepted instead",))
         sections.append(Section("units", "Accepted units of data files", table=units))
     sections += _formulas(found)
-    said = (Remark(f"{found.others} other variable{'s' * (found.others != 1)}"),) if found.others else ()
+    said = (Remark(counted(found.others, "other variable")),) if found.others else ()
     study = "\n".join(line if len(line) <= MAX_TEXT else _text(line) for line in skeleton(found.fmu).splitlines())
     state = _text(described.description.removeprefix(described.model_name).lstrip(": "))
     return Document("fmu", _name(described.model_name), state, "plain", said, tuple(sections), study=study)

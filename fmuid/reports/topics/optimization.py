@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from fmuid.estimation import Result
-from fmuid.formatting import has_unit, label
+from fmuid.formatting import counted, has_unit, label
 from fmuid.identification import EQUAL_COST
 from fmuid.reports.chart import LIMITS, Axis, Chart, Data, Layer, Units, kinds, named, picked
 from fmuid.reports.document import DETAIL, Message, Remark, Section, doubt, plain, table_of
@@ -47,8 +47,7 @@ def optima_remarks(result: Result) -> list[Remark]:
         return []
     searches = sum(optimum.hits for optimum in shown)
     count = f"{len(shown)} optim{'um' if len(shown) == 1 else 'a'}"
-    of = f"{searches} starting point{'s' * (searches != 1)}"
-    said = [OptimaMessage.FOUND.said(count=count, searches=of, hits=shown[0].hits)]
+    said = [OptimaMessage.FOUND.said(count=count, searches=counted(searches, "starting point"), hits=shown[0].hits)]
     for other in shown[1:]:
         if (excess := other.criterion - shown[0].criterion) < EQUAL_COST:
             pairs = zip(result.names, other.theta.tolist(), strict=True)

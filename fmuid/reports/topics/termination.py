@@ -13,7 +13,7 @@ from fmuid.estimation import (
     StartingPointSource,
     TerminationReason,
 )
-from fmuid.formatting import with_unit
+from fmuid.formatting import counted, with_unit
 from fmuid.identification import EQUAL_COST
 from fmuid.reports.document import Message, Remark, bad, doubt, plain
 from fmuid.reports.shared_phrases import IdentifiabilityMessage, change_remark, direction_remark, prior_remark
@@ -112,9 +112,9 @@ class StartMessage(Message, section="cost"):
 def ending_remarks(result: Result) -> list[Remark]:
     """Return the termination reason, non-identifiable parameters and active bounds."""
     message, fits = TerminationMessage[result.outcome.name], result.history.fits
-    values = {"iterations": _count(result.history.iterations, "iteration")}
+    values = {"iterations": counted(result.history.iterations, "iteration")}
     if result.outcome is TerminationReason.INTERRUPTED and fits is not None:
-        message, values = TerminationMessage.INTERRUPTED_SEARCH, {"fits": _count(fits, "fit")}
+        message, values = TerminationMessage.INTERRUPTED_SEARCH, {"fits": counted(fits, "fit")}
     said = [message.said(**values)]
     for each in result.identifiability.non_identifiable:
         said.append(direction_remark(each))
@@ -130,7 +130,7 @@ def ending_remarks(result: Result) -> list[Remark]:
 
 def state_and_reason(result: Result) -> tuple[str, str]:
     """Return the termination reason for the first line of a report."""
-    iterations = _count(result.history.iterations, "iteration")
+    iterations = counted(result.history.iterations, "iteration")
     match result.outcome:
         case _ if result.converged:
             return "converged", f"after {iterations}"
@@ -182,7 +182,7 @@ def effort_remark(result: Result) -> Remark:
     """Return iterations, simulations, time and cost."""
     spent, likelihood = result.history, result.fit.log_likelihood
     return TerminationMessage.EFFORT.said(
-        iterations=_count(spent.iterations, "iteration"),
+        iterations=counted(spent.iterations, "iteration"),
         simulations=spent.simulations,
         seconds=f"{spent.elapsed_s:.2f}",
         cost=f"{result.fit.cost:.6g}",
@@ -249,7 +249,3 @@ def _attempts(result: Result) -> list[Remark]:
     values = {"ratio": "" if kept is None else f"{tried[kept].noise_ratio:.3g}", "number": kept}
     count = len(tried) - (message is StartMessage.RESTARTED)
     return [message.said(count=count, **values), StartMessage.ATTEMPTS.said(attempts=attempts)]
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}{'s' * (number != 1)}"

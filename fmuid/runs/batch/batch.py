@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 import time
 from collections import Counter
@@ -208,11 +207,8 @@ class Batch(HtmlTableMixin):
             return self.dataset.repair()
         self.dataset.clear()
         told = {"cases": len(self.cases), "begun": datetime.now(UTC).isoformat(timespec="seconds")}
-        self._write_manifest(bundle.manifest() | told | {"truth": truth_of(self.study)})
+        self.dataset.write_manifest(bundle.manifest() | told | {"truth": truth_of(self.study)})
         return ()
-
-    def _write_manifest(self, content: Mapping[str, Any]) -> None:
-        self.dataset.write_manifest(json.dumps(content, indent=1, ensure_ascii=False, default=str) + "\n")
 
     def _work(self, bundle: BatchStudy, pending: Indices, progress: Progress | None) -> bool:
         """Run cases; return True if Ctrl-C ended it."""
@@ -222,7 +218,8 @@ class Batch(HtmlTableMixin):
         try:
             with crew(self._scheduler, self._workers) as there, contextlib.closing(writer):
                 if there.dashboard:
-                    self._write_manifest(object_of(self.folder / MANIFEST, _REMEDY) | {"dashboard": there.dashboard})
+                    known = object_of(self.folder / MANIFEST, _REMEDY)
+                    self.dataset.write_manifest(known | {"dashboard": there.dashboard})
                 results = there.run(bundle.parcel, pending, lambda case: record(self.cases.table_of(case)))
                 with contextlib.closing(results):
                     for result in results:

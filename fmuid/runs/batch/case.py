@@ -9,8 +9,7 @@ import os
 import platform
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
@@ -22,7 +21,7 @@ from fmuid.array_types import Floats
 from fmuid.blas import single_threaded
 from fmuid.codec import as_json, from_json
 from fmuid.data import Experiment
-from fmuid.errors import FmuidError
+from fmuid.errors import FmuidError, warnings_to
 from fmuid.estimation import Cache, Evaluator, Result, TerminationReason, WeakDirection
 from fmuid.identification import Assessment, Problem, find_data_defects, find_model_errors, identify, judge
 from fmuid.runs.batch.case_list import Case, CaseList, noise
@@ -79,8 +78,10 @@ class CaseRunner:
     def __call__(self, index: int) -> CaseOutcome:
         """Run a case; one that fails has a row with the reason."""
         case, began = self.cases[index], time.perf_counter()
-        with _warnings_of_this_thread() as warnings:
+        records = list[logging.LogRecord]()
+        with warnings_to(records.append):
             found = self._found(case)
+        warnings = [each.getMessage() for each in records if each.thread == threading.get_ident()]
         elapsed, printed = time.perf_counter() - began, executor_of(self._system).printed()
         volatile = {"elapsed_s": elapsed, "finished": datetime.now(UTC), "worker": self._worker}
         row = dict.fromkeys(self.columns, math.nan) | {"case": case.index, **case.settings, **found, **volatile}
@@ -227,16 +228,3 @@ def directions_text(directions: Sequence[WeakDirection]) -> str:
 def directions_of(text: str) -> tuple[WeakDirection, ...]:
     """Return the directions of the ``undetermined`` of a row."""
     return tuple(from_json(WeakDirection, each) for each in json.loads(text)) if text else ()
-
-
-@contextmanager
-def _warnings_of_this_thread() -> Iterator[list[str]]:
-    """Collect the warnings that fmuid gives meanwhile in this thread."""
-    thread, said, log = threading.get_ident(), list[str](), logging.getLogger("fmuid")
-    listener = logging.Handler(logging.WARNING)
-    listener.emit = lambda record: said.append(record.getMessage()) if record.thread == thread else None  # type: ignore[method-assign]
-    log.addHandler(listener)
-    try:
-        yield said
-    finally:
-        log.removeHandler(listener)

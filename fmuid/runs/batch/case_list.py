@@ -206,10 +206,8 @@ class CaseList:
         given = self.settings.starting_points
         for number, start in enumerate(given if isinstance(given, list) else ()):
             for name, value in start.items():
-                try:
+                with self.settings.place.below("starting_points", number, name).located():
                     replace(self.study.parameters[name], start=value)
-                except InputError as error:
-                    raise self.settings.error(f"starting_points[{number}].{name}: {error}") from None
 
 
 def _held_at(name: str, values: Sequence[Value], entry: int) -> dict[str, Any]:

@@ -8,7 +8,6 @@ import numpy as np
 import pandas as pd
 
 from fmuid.data import Experiment, time_name
-from fmuid.errors import InputError
 from fmuid.identification import Problem
 from fmuid.simulation import AnySimulator, simulator_of
 from fmuid.studies import BatchSettings, ExperimentSettings, Study, Value
@@ -65,14 +64,12 @@ def check_model(study: Study, settings: BatchSettings, subsets: Sequence[Sequenc
     """Check that model, study and batch fit together, without any table."""
     experiments = [_unmeasured(given, 2 + len(study.flat_names)) for given in study.experiments]
     problem_of(study, experiments, tuple(study.parameters), {}, {})  # what is wrong without the batch, as the study's
-    try:
+    with settings.place.located():
         for free in subsets:
             problem = problem_of(study, experiments, free, held, {})
             study.estimator.check(problem)
         if settings.monte_carlo is not None:
             truth_simulators(study, experiments, truth_values(study, held))
-    except InputError as error:
-        raise settings.error(f"{error}") from None
 
 
 def _unmeasured(given: ExperimentSettings, rows: int) -> Experiment:

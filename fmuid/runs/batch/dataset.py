@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import json
 import os
 import re
 import shutil
@@ -97,11 +98,7 @@ class Dataset:
         """Keep the log of a case."""
         with self._writing():
             self.logs.mkdir(exist_ok=True)
-            self.log_path(case).write_text(text, encoding="utf-8", errors="replace")
-
-    def log_path(self, case: int) -> Path:
-        """Return the file of the log of a case."""
-        return self.logs / f"case-{case:06d}.txt"
+            (self.logs / f"case-{case:06d}.txt").write_text(text, encoding="utf-8", errors="replace")
 
     def repair(self) -> tuple[Path, ...]:
         """Remove unfinished files of an ended run; return the damaged parts, removed too."""
@@ -130,10 +127,11 @@ class Dataset:
         """Return the files of a run without logs."""
         return [self.folder / MANIFEST, *self.parts()]
 
-    def write_manifest(self, text: str) -> None:
+    def write_manifest(self, content: Mapping[str, Any]) -> None:
         """Write ``batch.json``."""
         with self._writing():
-            self._put(self.folder / MANIFEST, text.encode())
+            text = json.dumps(content, indent=1, ensure_ascii=False, default=str)
+            self._put(self.folder / MANIFEST, f"{text}\n".encode())
 
     def _merge(self) -> None:
         """Merge the parts that are not full, the only ones in memory."""

@@ -3,6 +3,7 @@
 import itertools
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -126,13 +127,19 @@ SWEEP = "fixed = { L = 0.1 }\n[[experiments]]".join(STUDY.split("[[experiments]]
 BATCH = "[batch]\nsweep = { L = [0.13, 0.1] }\n"
 
 
-@pytest.mark.parametrize("asked", [pytest.param(False, marks=pytest.mark.slow), True])
-def test_model_errors_of_cases(tmp_path: Path, capsys: pytest.CaptureFixture[str], asked: bool) -> None:
-    """In a worker of its own."""
+@pytest.mark.parametrize(
+    ("asked", "in_worker"), [(False, False), (True, False), pytest.param(True, True, marks=pytest.mark.slow)]
+)
+def test_model_errors_of_cases(
+    tmp_path: Path, here: Any, capsys: pytest.CaptureFixture[str], asked: bool, in_worker: bool
+) -> None:
+    words = ["--workers", "1"] if in_worker else ["--no-isolation"]
+    if not in_worker:
+        here()
     coil_table(tmp_path / "first.csv", 0.0, seed=1)
     study = tmp_path / "study.toml"
     study.write_text(SWEEP + '[estimation]\nmodel_error = "report"\n' * asked + BATCH)
-    fmuid_("batch", study, "--output", tmp_path / "out", "--no-report", "--workers", "1")
+    fmuid_("batch", study, "--output", tmp_path / "out", "--no-report", *words)
     rows = pd.concat(map(pd.read_parquet, (tmp_path / "out/cases").glob("*.parquet"))).sort_values("set.L")
     assert rows["reasons"].str.contains("model_error").tolist() == [False, asked]
     said = capsys.readouterr().out

@@ -202,9 +202,9 @@ def test_a_killed_writer_leaves_no_lock(tmp_path: Path) -> None:
 
 def test_clear_removes_rows_and_logs_and_nothing_else(tmp_path: Path) -> None:
     found = filled(tmp_path, [0, 1], each=1)
-    found.write_manifest("{}")
+    found.write_manifest({})
     found.log(1, "said")
-    assert found.log_path(1).name == "case-000001.txt"
+    assert [path.name for path in found.logs.iterdir()] == ["case-000001.txt"]
     (tmp_path / "notes.md").write_text("mine")
     found.clear()
     assert {path.name for path in tmp_path.iterdir()} == {"cases", "notes.md"}
