@@ -239,12 +239,13 @@ def analyze_residuals(problem: LeastSquares, result: Result) -> ResidualAnalysis
     series: list[ResidualSeries] = []
     columns = local.jacobian @ local.root
     taken = FitProjection(columns, columns.T @ columns)
-    scales = [each for each in (problem.levels.scale, noise.levels) if each is not None]
-    scale = np.prod(scales, axis=0) if scales else None
+    even = None if problem.levels.scale is None else local.residual
+    if noise.levels is not None:
+        even = noise.evened(local.residual, local.data_basis)[0]
     for experiment, fit in zip(problem.experiments, result.fit.frames, strict=True):
         simulated = fit[[f"simulated.{output}" for output in experiment.output_names]].to_numpy(np.float64)
         models = [each for each in noise.models if each.series.experiment == experiment.name]
-        series += examine_outputs(experiment, simulated, models, taken, scale)
+        series += examine_outputs(experiment, simulated, models, taken, even)
     off_grid = tuple((each.series.experiment, each.series.output) for each in noise.models if not each.series.regular)
     widening = dict(zip(result.names, result.estimates.colored_noise_factor.tolist(), strict=True))
     shares: dict[tuple[str, str, float], float] = {}

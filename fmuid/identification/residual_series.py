@@ -159,11 +159,11 @@ def examine_outputs(
     simulated: Floats,
     models: Sequence[NoiseModel] | None = None,
     taken: FitProjection | None = None,
-    scale: Floats | None = None,
+    even: Floats | None = None,
 ) -> list[ResidualSeries]:
     """Test the residuals of an experiment's outputs; noise and projection are of a fit or their own.
 
-    `scale` (n,) is the noise level of each row relative to its output; tests divide by it.
+    `even` (n,) are residuals of equal variance in each output, which are tested instead.
     """
     outputs = experiment.output_names
     series = output_series([experiment], outputs) if models is None else [each.series for each in models]
@@ -178,7 +178,7 @@ def examine_outputs(
         rounding = RESIDUAL_SETTINGS.rounding_share * float(np.sqrt(np.mean(measured[counted] ** 2)))
         if own.ordered and values.size >= RESIDUAL_SETTINGS.least_samples and found[-1].std > rounding:
             left = FitProjection.nothing(values.size) if taken is None else taken.of(own.rows)
-            found[-1] = _tested(found[-1], values if scale is None else values / scale[own.rows], left)
+            found[-1] = _tested(found[-1], values if even is None else even[own.rows], left)
     related = _related(experiment, [each for each in found if each.is_tested])
     return [replace(each, inputs=related.get(each.output, ())) for each in found]
 

@@ -22,7 +22,7 @@ class UnevenNoiseSettings:
     """Numbers of the test."""
 
     level: float = 0.01  # false alarms of all outputs together
-    least_variance: float = 0.01  # of the mean variance
+    least_variance: float = 1e-4  # of the mean variance
     least_samples: int = 50
     least_signal: float = 1e-3  # of the largest: a reading near zero has the noise of its zero
 
@@ -49,15 +49,15 @@ def uneven_levels(
                 if variance is not None:
                     found[rows], any_uneven = np.sqrt(variance), True
             continue
-        squares, level = each.whiten(residual[rows]) ** 2, SETTINGS.level / len(models)
-        variance = _variance(squares, simulated[rows], level, ordered=each.series.ordered)
+        variance = _variance(each, residual[rows], simulated[rows], SETTINGS.level / len(models))
         if variance is not None:
             found[rows], any_uneven = np.sqrt(variance), True
     return found if any_uneven else None
 
 
-def _variance(squares: Floats, signal: Floats, level: float, *, ordered: bool) -> Floats | None:
+def _variance(model: NoiseModel, residual: Floats, signal: Floats, level: float) -> Floats | None:
     """Return the relative variance of each sample (n,), None if constant; rows without order have no slope."""
+    squares, ordered = model.whiten(residual) ** 2, model.series.ordered
     signal = signal / max(float(np.abs(signal).max()), 1e-300)  # squares of any unit
     signals = [signal**2]
     signals += [np.gradient(signal) ** 2, np.arange(len(signal), dtype=np.float64)] if ordered else []
@@ -73,7 +73,7 @@ def _variance(squares: Floats, signal: Floats, level: float, *, ordered: bool) -
         score = abs(float(products[i])) / math.sqrt(float(np.mean(centered**2)))
     if 2.0 * special.ndtr(-score) * len(columns) > level:
         return None
-    return _most_likely(squares, signals[i])
+    return _most_likely(model, residual, signals[i])
 
 
 def _either(squares: Floats, signal: Floats, left: Floats) -> Floats | None:
@@ -90,15 +90,16 @@ def _either(squares: Floats, signal: Floats, left: Floats) -> Floats | None:
     return np.asarray(found / found.mean())
 
 
-def _most_likely(squares: Floats, signal: Floats) -> Floats:
-    """Return the most likely relative variance (n,), linear in a signal."""
+def _most_likely(model: NoiseModel, residual: Floats, signal: Floats) -> Floats:
+    """Return the most likely relative variance (n,) of e = D ε, linear in a signal."""
     from scipy.optimize import minimize_scalar  # slow to import
 
     change = signal / signal.mean() - 1.0
 
     def cost(slope: float) -> float:
         variance = 1.0 + slope * change
-        return math.log(np.mean(squares / variance)) + float(np.mean(np.log(variance)))
+        squares = model.whiten(residual / np.sqrt(variance)) ** 2
+        return math.log(np.mean(squares)) + float(np.mean(np.log(variance)))
 
     reach = 1.0 - SETTINGS.least_variance
     bounds = -reach / float(change.max()), -reach / float(change.min())
