@@ -22,7 +22,7 @@ from fmuid.simulation import RightHandSide, Simulator
 def with_observer(problem: Problem, samples: float = 3.0) -> Problem:
     """Return a problem with a state observer, corrected at each sample.
 
-    Its time constant is in (median) sampling intervals. The model is a single Model Exchange FMU with one output that
+    Its time constant is in (median) sampling intervals. The model has Model Exchange and one output that
     observes all states; else an `InputError`. The result says so (`Setup.observer`). There are no solver check and no
     restarts.
     """
@@ -40,7 +40,7 @@ def _observed(problem: Problem, index: int, samples: float) -> Simulator:
         raise InputError(f"an observer excludes an observation. Remove one from {experiment.source}.")
     side = RightHandSide.of(simulator) if isinstance(simulator, Simulator) else None
     if side is None or not isinstance(simulator, Simulator):
-        raise InputError("an observer needs a single FMU with Model Exchange and accessible states.")
+        raise InputError("an observer needs Model Exchange and accessible states.")
     if len(simulator.output_names) != 1:
         raise InputError(f"an observer needs one output; {experiment.source} has {len(simulator.output_names)}.")
     slopes, outputs = side.secants(problem.parameters.start[problem.parameters.for_experiment(index)[1]])

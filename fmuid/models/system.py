@@ -210,6 +210,20 @@ class System:
         return found | {name: variable._replace(name=name) for name, variable in ports.items()}
 
     @cached_property
+    def states(self) -> tuple[str, ...]:
+        """Names of the continuous states of all components."""
+        return self._named("states")
+
+    @cached_property
+    def derivatives(self) -> tuple[str, ...]:
+        """Names of the states' derivatives."""
+        return self._named("derivatives")
+
+    def _named(self, which: str) -> tuple[str, ...]:
+        described = {component: getattr(model.fmu.description, which) for component, model in self.components.items()}
+        return tuple(self.full_name(component, name) for component, names in described.items() for name in names)
+
+    @cached_property
     def connected_inputs(self) -> frozenset[str]:
         """Names of the inputs that a connection feeds."""
         return frozenset(self.full_name(*connection.target) for connection in self.connections)

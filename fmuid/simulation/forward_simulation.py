@@ -79,7 +79,9 @@ def plan_by_seeds(task: SimulationTask, seeds: Sequence[str], n_states: int) -> 
 
 def gives_derivatives(system: System, outputs: Sequence[str], seeds: Sequence[str]) -> bool:
     """Return whether the only FMU states directional derivatives; neither of arrays nor by start values of states."""
-    (model,) = system.components.values()
+    model, *others = system.components.values()
+    if others:
+        return False
     description, terms = model.fmu.description, [term for name in outputs for term in system.terms(name)]
     involved = [system.variables[system.targets(name)[0][0]] for name in (*seeds, *terms)]
     involved += [description.variables[name] for name in (*description.states, *description.derivatives)]
@@ -96,9 +98,8 @@ def carrying(plan: SimulationPlan, given: Sensitivities) -> SimulationPlan:
 
 
 def initial_simulation(simulator: Simulator) -> GridSimulation | None:
-    """Return the initialization of an FMU with its states as outputs; None if these are hidden."""
-    system, ((component, model),) = simulator.system, simulator.system.components.items()
-    states = [system.full_name(component, name) for name in model.fmu.description.states]
+    """Return the initialization of a system with its states as outputs; None if these are hidden."""
+    system, states = simulator.system, simulator.system.states
     if any(system.variables[name].causality not in ("output", "local") for name in states):
         return None
     experiment = extended_by(simulator.experiment, states)

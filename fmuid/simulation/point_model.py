@@ -82,9 +82,9 @@ class StateSpace:
 
 
 class PointModel:
-    """Derivatives and outputs of one FMU about K operating points.
+    """Derivatives and outputs of a system about K operating points.
 
-    Matrices are the FMU's directional derivatives where it has them and differences agree at first; else differences.
+    Matrices are the directional derivatives where it has them and differences agree at first; else differences.
     They are by the inputs `seeds`. Inputs (K,) are in `units`, or those of the FMU.
     """
 
@@ -103,8 +103,7 @@ class PointModel:
         self._copies = 2 if self.count == 1 else 1  # one row is no experiment
         repeated = {name: np.repeat(each, self._copies) for name, each in columns.items()}
         first = model.simulator(repeated, self.outputs, units)
-        ((component, own),) = model.system.components.items()
-        self.states = tuple(model.system.full_name(component, name) for name in own.fmu.description.states)
+        self.states = model.system.states
         is_exact = gives_derivatives(model.system, self.outputs, self.seeds)
         probe = RightHandSide.of(first, by_rows=True, seeds=(*self.states, *self.seeds) if is_exact else ())
         self.is_open = probe is not None and bool(self.states)

@@ -90,9 +90,7 @@ class PointSimulator(ABC):
     def model(self) -> ModelOfPoints | None:
         """The model by Model Exchange; None if it shows no derivatives."""
         system = by_model_exchange(self.system)
-        if system is None or len(system.components) > 1:
-            return None
-        return ModelOfPoints(system, self.parameters, self.held, self.experiment.source)
+        return None if system is None else ModelOfPoints(system, self.parameters, self.held, self.experiment.source)
 
     def points(
         self, inputs: Mapping[str, Floats], seeds: Sequence[str], outputs: Sequence[str], what: str
@@ -100,7 +98,7 @@ class PointSimulator(ABC):
         """Return the model about operating points that `what` needs."""
         found = None if self.model is None else PointModel(self.model, inputs, seeds, outputs, {})
         if found is None or not found.is_open:
-            raise InputError(f"{self.system.label}: {what} needs one FMU for Model Exchange that shows its states.")
+            raise InputError(f"{self.system.label}: {what} needs Model Exchange and accessible states.")
         return found
 
     def parameter(self, name: str, thetas: Floats) -> Floats:

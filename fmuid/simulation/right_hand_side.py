@@ -34,12 +34,10 @@ class RightHandSide:
         self, simulator: Simulator, system: System, *, by_rows: bool = False, seeds: Sequence[str] = ()
     ) -> None:
         self._simulator, self.system, self._seeds = simulator, system, len(seeds)
-        ((component, model),) = system.components.items()
-        description = model.fmu.description
-        self.states = tuple(system.full_name(component, name) for name in description.states)
-        nominals = [description.variables[name].nominal for name in description.states]
+        self.states = system.states
+        nominals = [system.variables[name].nominal for name in self.states]
         self.nominals = np.array([abs(nominal or 1.0) for nominal in nominals])
-        wanted = [system.full_name(component, name) for name in description.derivatives]
+        wanted = list(system.derivatives)
         outputs = [" + ".join(system.terms(name)) for name in simulator.output_names]
         names, (values, _) = simulator.target_names, simulator.settings
         task = task_of(system, extended_by(simulator.experiment, [*wanted, *outputs]), names, values, None)
@@ -53,7 +51,7 @@ class RightHandSide:
         self._points = grid._replace(
             times=grid.times[ends],
             substeps=np.ones(len(ends) - 1, np.intp),
-            strides=np.ones(1, np.intp),
+            strides=np.ones(len(system.components), np.intp),
             inputs=inputs,
             slopes=None,
             states=len(self.states),
@@ -72,14 +70,17 @@ class RightHandSide:
 
     @classmethod
     def of(cls, simulator: Simulator, *, by_rows: bool = False, seeds: Sequence[str] = ()) -> RightHandSide | None:
-        """Return a simulator's right-hand side; None unless one FMU shows its derivatives."""
+        """Return a simulator's right-hand side; None unless all FMUs show their derivatives.
+
+        Of several, each has continuous states: others act once per communication step. Seeds are for one FMU.
+        """
         simulator, system = simulator.of_model, by_model_exchange(simulator.system)
-        if system is None or len(system.components) > 1 or len(simulator.experiment.times) < 2:
+        if system is None or len(simulator.experiment.times) < 2:
             return None
-        ((component, model),) = system.components.items()
-        description = model.fmu.description
-        for name in (*description.states, *description.derivatives):
-            variable = system.variables.get(system.full_name(component, name))
+        if len(system.components) > 1 and (seeds or not all(map(system.integrates, system.components))):
+            return None
+        for name in (*system.states, *system.derivatives):
+            variable = system.variables.get(name)
             if variable is None or variable.array or variable.causality not in ("output", "local"):
                 return None
         return cls(simulator, system, by_rows=by_rows, seeds=seeds)

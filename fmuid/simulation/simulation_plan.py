@@ -133,8 +133,8 @@ class TimeGrid(NamedTuple):
     """The experiment as `SampleGrid` of the core.
 
     Times (K,), substeps per interval (K-1,), substeps per component's step (n_components,), inputs (K, n_u), slopes of
-    cubic inputs. A single Model Exchange component may get `states` at each sample instead of integration.
-    Or samples correct its states: `gain` (n_x, n_y) times `measured` (K, n_y) − outputs, except NaN.
+    cubic inputs. Model Exchange components may get `states` at each sample instead of integration.
+    Or samples correct their states: `gain` (n_x, n_y) times `measured` (K, n_y) − outputs, except NaN.
     """
 
     times: Floats
@@ -333,7 +333,7 @@ def _check_grid(plan: SimulationPlan, grid: TimeGrid, n: int) -> None:
     _demand(grid.substeps.shape == (n_times - 1,) and (grid.substeps > 0).all(), "substeps")
     _demand(grid.strides.shape == (n,) and (grid.strides > 0).all(), "strides")
     if grid.states is not None or grid.gain is not None:
-        (integration,) = plan.integrations if n == 1 else (None,)
-        _demand(integration is not None and (grid.gain is None or integration.sensitivities is None), "states")
+        without = [each is not None and (grid.gain is None or each.sensitivities is None) for each in plan.integrations]
+        _demand(all(without), "states")
     measured = None if grid.measured is None else grid.measured.shape
     _demand(measured == (None if grid.gain is None else (n_times, len(plan.output_terms) - 1)), "measured outputs")

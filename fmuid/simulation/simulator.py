@@ -271,7 +271,7 @@ class Simulator:
     def corrected(
         self, system: System, tolerance: float, gain: Floats, most_steps: int | None = None, every: int = 1
     ) -> Simulator:
-        """Return the simulator whose states every n-th sample corrects; a single Model Exchange FMU only.
+        """Return the simulator whose states every n-th sample corrects; Model Exchange only.
 
         The gain (n_states, n_outputs) is per measured − simulated output, in units of the FMU.
         """

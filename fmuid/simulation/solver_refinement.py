@@ -59,11 +59,12 @@ def next_refinement(system: System, than: Refinement = AS_ASKED, *, surely: bool
     tolerance, divisor = than.tolerance, than.divisor
     if exchanged:
         now = tolerance or min(map(_tolerance, exchanged.values()))
-        tolerance = min(STEPS.tolerance, STEPS.tighter * now) if tolerance is None else STEPS.tighter * now
+        tighter = min(STEPS.tolerance, STEPS.tighter * now) if tolerance is None else STEPS.tighter * now
+        tolerance = tolerance if tighter < STEPS.tightest else tighter
     divided = system.sampling_known or not surely
     if divided and (len(system.components) > 1 or not exchanged) and any(map(system.integrates, system.components)):
         divisor *= STEPS.division
-    exhausted = (tolerance is not None and tolerance < STEPS.tightest) or divisor > STEPS.most_divided
+    exhausted = divisor > STEPS.most_divided
     found = Refinement(tolerance, divisor)
     return None if exhausted or found == than else found
 

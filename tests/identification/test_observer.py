@@ -82,7 +82,7 @@ def test_an_observer_is_for_one_output_of_one_model(cart: Path) -> None:
     driven = fmuid.Experiment(record(0.0), {"a.u": "u"}, {"a.q": "q"})
     for given, samples, said in (
         (fmuid.Problem(cart, two, {"m": fmuid.Parameter(1.0)}), 3.0, "one output"),
-        (fmuid.Problem(several, driven, {"a.m": fmuid.Parameter(1.0)}), 3.0, "single FMU"),
+        (fmuid.Problem(several, driven, {"a.m": fmuid.Parameter(1.0)}), 3.0, "not all states"),
         (whole, 0.0, "positive memory in samples"),
         (whole._with(choices={"mode": (1, 2)}), 3.0, "'mode'"),
     ):

@@ -149,25 +149,33 @@ static bool step3(Simulation *self, size_t c, double until) {
   return fail(self, STUCK, c, fmi2OK);
 }
 
-/* Show the only component the states of a sample. */
+/* Show all components, each for model exchange, their states of a sample, and what these make of each other. */
 bool show_states(Simulation *self, size_t sample) {
-  Integrator *integrator = self->plan->components[0].integrator;
-  if (self->plan->components[0].mode == IN_EVENTS && !leave_events(self, 0, self->now)) return false;
-  return integrated(self, 0,
-                    integrator_show(integrator, self->now, self->states + sample * (size_t)self->grid->n_states));
+  const double *states = self->states + sample * (size_t)self->grid->n_states;
+  for (size_t c = 0; c < self->plan->n_components; c++) {
+    Integrator *integrator = self->plan->components[c].integrator;
+    if (self->plan->components[c].mode == IN_EVENTS && !leave_events(self, c, self->now)) return false;
+    if (!integrated(self, c, integrator_show(integrator, self->now, states))) return false;
+    states += integrator->how.n_states;
+  }
+  return true;
 }
 
-/* Correct the states of the only component by the errors of the outputs. */
+/* Correct the states of all components by the errors of the outputs. */
 bool correct_states(Simulation *self, size_t sample) {
   const Grid *grid = self->grid;
   const size_t n = self->plan->n_outputs;
-  const double *measured = grid->measured + sample * n, *outputs = self->outputs + sample * n;
+  const double *measured = grid->measured + sample * n, *outputs = self->outputs + sample * n, *gain = grid->gain;
   size_t missing = 0;
   while (missing < n && isnan(measured[missing])) missing++;
   if (missing == n) return true; /* integration goes on without a new beginning */
-  Integrator *integrator = self->plan->components[0].integrator;
-  if (self->plan->components[0].mode == IN_EVENTS && !leave_events(self, 0, self->now)) return false;
-  return integrated(self, 0, integrator_correct(integrator, self->now, grid->gain, measured, outputs, n));
+  for (size_t c = 0; c < self->plan->n_components; c++) {
+    Integrator *integrator = self->plan->components[c].integrator;
+    if (self->plan->components[c].mode == IN_EVENTS && !leave_events(self, c, self->now)) return false;
+    if (!integrated(self, c, integrator_correct(integrator, self->now, gain, measured, outputs, n))) return false;
+    gain += integrator->how.n_states * n;
+  }
+  return true;
 }
 
 /* Take a component that is not of co-simulation by FMI 2.0 from one of its communication points to the next. */

@@ -49,11 +49,13 @@ INLINE void set_curves(Simulation *self, size_t sample, double length, bool want
     if (plan->components[c].integrator) plan->components[c].integrator->origin = self->now;
 }
 
-/* Give the components their inputs, from the table and from each other. */
-INLINE bool settle_inputs(Simulation *self) {
-  if (!perform(self, self->plan->inputs)) return false;
+/* Give the components their inputs from each other. */
+INLINE bool pass_on(Simulation *self) {
   return self->plan->groups ? settle_events(self) : perform(self, self->plan->exchange);
 }
+
+/* Give the components their inputs, from the table and from each other. */
+INLINE bool settle_inputs(Simulation *self) { return perform(self, self->plan->inputs) && pass_on(self); }
 
 /* Take one component over one of its steps. */
 INLINE bool advance(Simulation *self, size_t c, double now, double h, double until) {
@@ -128,7 +130,8 @@ INLINE bool record(Simulation *self, size_t sample) {
   self->now = self->grid->times[sample];
   self->substep = 0;
   set_inputs(self, sample, 0.0, HELD);
-  if (!settle_inputs(self) || (self->grid->n_states >= 0 && !show_states(self, sample))) return false;
+  if (!settle_inputs(self)) return false;
+  if (self->grid->n_states >= 0 && !(show_states(self, sample) && pass_on(self))) return false;
   if (!perform(self, plan->outputs)) return false;
   if (plan->direct_outputs) return true;
   for (size_t j = 0; j < plan->n_outputs; j++) {
@@ -196,7 +199,7 @@ static bool run(Simulation *self, const double *theta) {
   if (plan->by_rows) return walk_rows(self);
   for (size_t k = 0; k < self->grid->n_times; k++) {
     if (is_cancelled(self) || !record(self, k)) return false;
-    if (self->grid->gain && !correct_states(self, k)) return false;
+    if (self->grid->gain && !(correct_states(self, k) && pass_on(self))) return false;
     if (k + 1 < self->grid->n_times && !walk_interval(self, k)) return false;
   }
   return true;

@@ -152,10 +152,10 @@ typedef struct {
 /* The samples: times (n_times), inputs (n_times, n_inputs), their slopes likewise or NULL, substeps of the intervals
  * (n_times - 1), and how many of these a component's own step has (n_components), NULL where all have one.
  *
- * A single component for model exchange may be shown states (n_times, n_states) at the samples in place of integrating
- * it: they follow each theta, and times need not increase then; n_states is -1 without. Or its states are corrected
- * after each sample by a gain (n_states, n_outputs) times what was measured (n_times, n_outputs) less the outputs, but
- * for what is NAN. Both are NULL without. */
+ * Components that are all for model exchange may be shown states (n_times, n_states) at the samples in place of
+ * integration: they follow each theta, and times need not increase then; n_states is -1 without. Or states are
+ * corrected after each sample by a gain (n_states, n_outputs) times what was measured (n_times, n_outputs) less the
+ * outputs, but for what is NAN. Both are NULL without. */
 typedef struct {
   size_t n_times;
   int64_t n_states;
