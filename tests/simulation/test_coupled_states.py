@@ -12,7 +12,7 @@ import fmuid
 from fmuid.data import SteadyExperiment
 from fmuid.simulation import RightHandSide, Simulator
 from fmuid.simulation.point_model import ModelOfPoints, PointModel
-from fmuid.simulation.solver_refinement import by_model_exchange
+from fmuid.simulation.solver_refinement import AS_ASKED, Refinement, by_model_exchange, next_refinement
 from tests.support.coupled_motor import MOTOR, coupled_motor
 
 R, L, K, J, B = MOTOR.values()
@@ -68,3 +68,14 @@ def test_corrected_states(made: Callable[[str], Path]) -> None:
         expected.append(float(state[1].real))
         state = step @ (state + gain[:, 0] * (measured - state[1])) + forced
     np.testing.assert_allclose(found, expected, atol=1e-3 * max(expected))
+
+
+def test_communication_steps_are_divided_beyond_the_least_tolerance(made: Callable[[str], Path]) -> None:
+    system, ladder = coupled_motor(made), [AS_ASKED]
+    while (finer := next_refinement(system, ladder[-1])) is not None:
+        ladder.append(finer)
+    assert [each.divisor for each in ladder] == [1, 4, 16, 64, 256, 1024]
+    tolerances = [each.tolerance for each in ladder[1:]]
+    np.testing.assert_allclose(np.array(tolerances, float), [1e-9, 1e-11, 1e-13, 1e-13, 1e-13])
+    # one FMU has nothing but its tolerance
+    assert next_refinement(fmuid.System(system.components["rotor"].fmu), Refinement(1e-13)) is None
