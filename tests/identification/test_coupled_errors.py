@@ -24,13 +24,16 @@ def recorded(dead: float, drift: float) -> pd.DataFrame:
     rng, times = np.random.default_rng(8), STEP * np.arange(COUNT)
     volts = 12.0 * np.repeat(rng.choice([-1.0, 0.0, 1.0], COUNT // 40), 40)
 
-    def rates(t: float, x: Floats, u: float) -> list[float]:
-        resistance = R * (1.0 + drift * (t / times[-1] - 0.5))
-        return [(u - dead * np.tanh(x[0] / 0.05) - resistance * x[0] - K * x[1]) / L, (K * x[0] - B * x[1]) / J]
+    def rates(u: float) -> Callable[[float, Floats], list[float]]:
+        def of(t: float, x: Floats) -> list[float]:
+            resistance = R * (1.0 + drift * (t / times[-1] - 0.5))
+            return [(u - dead * np.tanh(x[0] / 0.05) - resistance * x[0] - K * x[1]) / L, (K * x[0] - B * x[1]) / J]
+
+        return of
 
     found = [np.zeros(2)]
     for k in range(COUNT - 1):
-        solved = solve_ivp(rates, times[k : k + 2], found[-1], args=(volts[k],), rtol=1e-9, atol=1e-11)
+        solved = solve_ivp(rates(float(volts[k])), (times[k], times[k + 1]), found[-1], rtol=1e-9, atol=1e-11)
         found.append(solved.y[:, -1])
     i, w = np.array(found).T + np.array([[0.05], [0.3]]) * rng.standard_normal((2, COUNT))
     return pd.DataFrame({"time": times, "u": volts, "i": i, "w": w})
