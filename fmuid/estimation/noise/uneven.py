@@ -91,7 +91,7 @@ def _either(squares: Floats, signal: Floats, left: Floats) -> Floats | None:
 
 
 def _most_likely(model: NoiseModel, residual: Floats, signal: Floats) -> Floats:
-    """Return the most likely relative variance (n,) of e = D ε, linear in a signal."""
+    """Return the most likely variance (n,) of e = D ε, relative."""
     from scipy.optimize import minimize_scalar  # slow to import
 
     change = signal / signal.mean() - 1.0
