@@ -57,7 +57,7 @@ class ResidualNoise:
         return total + sum(each.gram(columns) for each in self.returning)
 
     def evened(self, residual: Floats, basis: Floats) -> tuple[Floats, Floats]:
-        """Return the residual (n,) of a fit at even noise, and its basis (n, k)."""
+        """Return residual (n,) and basis (n, k) of an even fit."""
         levels = np.ones(len(residual)) if self.levels is None else self.levels
         residual, basis = residual / levels, np.linalg.qr(basis / levels[:, None])[0]
         return residual - basis @ (basis.T @ residual), basis
