@@ -85,8 +85,13 @@ STEPS = 4  # of Runge and Kutta in a sampling interval
 CONTACT = 0.02  # resistance of a short circuit over R_s of its turns
 
 
-def currents(drives: Sequence[Drive], conditions: Sequence[Condition]) -> Floats:
-    """Return line currents (m, K, 3) of m machines over drives with the same times."""
+def fine_times(count: int) -> Floats:
+    """Return the times of fine currents of K samples, s."""
+    return np.asarray(STEP / STEPS * np.arange((count - 1) * STEPS + 1))
+
+
+def currents(drives: Sequence[Drive], conditions: Sequence[Condition], *, fine: bool = False) -> Floats:
+    """Return line currents (m, K, 3) of m machines over drives with the same times; fine ones after all steps."""
 
     def of(name: str) -> Floats:
         return np.array([getattr(each, name) for each in conditions], float)
@@ -117,7 +122,7 @@ def currents(drives: Sequence[Drive], conditions: Sequence[Condition]) -> Floats
         return np.concatenate([rates, rotor], axis=1)
 
     h, state = STEP / STEPS, np.zeros((len(drives), 6))
-    found = np.zeros((len(drives), speed.shape[1], 3))
+    found = np.zeros((len(drives), (speed.shape[1] - 1) * STEPS + 1, 3))
     for k in range(speed.shape[1] - 1):
         for part in range(STEPS):
             rates = [np.zeros_like(state)]
@@ -128,18 +133,19 @@ def currents(drives: Sequence[Drive], conditions: Sequence[Condition]) -> Floats
                 volts = (1.0 - s) * axes[:, k] + s * axes[:, k + 1]
                 rates.append(slope(state + share * h * rates[-1], theta, w, volts))
             state = state + h / 6.0 * (rates[1] + 2.0 * rates[2] + 2.0 * rates[3] + rates[4])
-        found[:, k + 1] = state[:, :3]
-    return found
+            found[:, k * STEPS + part + 1] = state[:, :3]
+    return found if fine else found[:, ::STEPS]
 
 
 def tables(drives: Sequence[Drive], conditions: Sequence[Condition], noise: float, seed: int) -> list[pd.DataFrame]:
     """Return tables of phase signals: voltages asked of the inverter, currents that sensors of lines a and b read."""
     rng, found = np.random.default_rng([12, seed]), []
-    for (times, speed, angle, axes), off, lines in zip(drives, conditions, currents(drives, conditions), strict=True):
+    fine = currents(drives, conditions, fine=True)
+    for (times, speed, angle, axes), off, lines in zip(drives, conditions, fine, strict=True):
         frame = pd.DataFrame({"time": times, "w": speed, "theta": angle})
         frame[["ua", "ub", "uc"]] = to_phases(axes, angle)
         for j, name in enumerate(("ia", "ib")):
-            late = CubicSpline(times, lines[:, j])(np.maximum(times - off.delay[j], 0.0))
+            late = CubicSpline(fine_times(len(times)), lines[:, j])(np.maximum(times - off.delay[j], 0.0))
             frame[name] = (1.0 + off.gain[j]) * late + off.offset[j] + noise * rng.standard_normal(times.size)
         found.append(frame)
     return found
