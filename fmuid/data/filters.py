@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Sequence
 
@@ -91,6 +92,17 @@ def _stretches(there: Flags, breaks: Flags) -> list[Indices]:
     part = np.concatenate([[0], np.cumsum(breaks)])[rows]
     cuts = np.flatnonzero((np.diff(rows) > 1) | (np.diff(part) > 0)) + 1
     return [each for each in np.split(rows, cuts) if each.size]
+
+
+def filling_keys(times: Floats, values: Floats, column: str) -> str:
+    """Return the keys that fill the gaps of an input, and leave out what is before and after its samples."""
+    own = times[np.isfinite(values)]
+    longest = float(np.diff(own).max(initial=0.0))
+    keys = [f'fill_missing = {{ {json.dumps(column)} = "linear" }}']
+    keys += [f"max_gap = {longest:.9g}"] * bool(longest > FILLED * usual_step(times))
+    ends = (("start_time", own[:1], times[0]), ("end_time", own[-1:], times[-1]))
+    keys += [f"{key} = {each[0]:.9g}" for key, each, end in ends if each.size and each[0] != end]
+    return f"preprocess = {{ {', '.join(keys)} }}"
 
 
 def filled(

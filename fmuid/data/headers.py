@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import partial
@@ -11,6 +11,7 @@ from itertools import accumulate
 from typing import TYPE_CHECKING, Any
 
 from fmuid.data.cells import MISSING, Cell, is_missing, is_number
+from fmuid.data.said_values import rows_said, step_said
 from fmuid.data.time_names import TIME_NAMES, counts_part, is_time_name, plain_name
 from fmuid.errors import InputError
 from fmuid.units import SECONDS, parse_unit, time_unit
@@ -39,20 +40,6 @@ _SCALED = re.compile(r"(\D+?)\s*[x×*]\s*[\d.,]+|[x×*]?\s*[\d.,]+\s*[x×*]?\s*(
 _EITHER = ("MV", "MA", "MOHM")
 """Units whose first letter may be a small one where all headers are in capitals."""
 _UNIT_LENGTH = 12
-_STEP_KEYS = (
-    "hresolution", "delta x", "deltax", "dx", "dt", "sample interval", "sampling interval", "sample period",
-    "x increment", "xincrement", "increment", "time step", "abtastintervall", "interval",
-)  # fmt: skip
-_RATE_KEYS = (
-    "samplerate",
-    "sample rate",
-    "sampling rate",
-    "sampling frequency",
-    "sample frequency",
-    "rate",
-    "abtastrate",
-)
-_COUNT_KEYS = ("blocksize", "samples", "record length", "number of points", "number of samples")
 _NAME_KEYS = (
     "tag",
     "tracename",
@@ -66,9 +53,7 @@ _NAME_KEYS = (
     "name",
 )
 _UNIT_KEYS = ("vunit", "vertical units", "y_unit_label", "unit", "units", "einheit", "einheiten")
-"""First cells of the lines above a header that say time between samples, their number, names and units."""
-_HERTZ = {"": 1.0, "Hz": 1.0, "hz": 1.0, "kHz": 1e3, "MHz": 1e6, "Sa/s": 1.0, "S/s": 1.0, "kS/s": 1e3, "MS/s": 1e6}
-_WITH_TIME_UNIT = re.compile(r"(?P<number>[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?)\s*(?P<unit>[^\W\d]*(/s)?)", re.ASCII)
+"""First cells of the lines above a header that say names and units."""
 _MARKED = re.compile(r"\s*[\[{<]")
 """Begin of lines such as ``[Data]``."""
 _NO_NAME = re.compile(r"[\d:./\s-]*")
@@ -145,13 +130,21 @@ def split_header(header: str) -> tuple[str, str | None]:
             return quantity, f"{part}/{words['unit']}"  # a flow in smL/min
         return (header, None) if _RATIOS.fullmatch(words["name"]) else (words["name"], words["unit"])
     unit = (found["round"] if found["round"] is not None else found["square"]).strip()
-    call = found["name"] == "der" or (found["name"] in _NODES and _NODE.fullmatch(unit))
+    call = found["name"] == "der" or (found["name"] in _NODES and _is_node(unit, found["name"]))
     if not found["gap"] and (call or _INDEX.fullmatch(unit)):
         return header, None
     if not is_unit(unit) and (inner := split_header(found["name"]))[1]:  # a remark after the unit
         return inner
     spaced = found["square"] is not None and bool(found["gap"]) and len(unit) <= _UNIT_LENGTH
     return (found["name"], unit) if is_unit(unit) or (unit and (spaced or _like_unit(unit))) else (header, None)
+
+
+def _is_node(text: str, quantity: str) -> bool:
+    """Return whether a text in brackets is a node or part of a circuit: ``V(U)``, but not ``V(mV)``, ``v(kmh)``."""
+    unit = parse_unit(text) if text.isidentifier() else None
+    own = [parse_unit(each) for each in (("A",) if quantity[0] in "Ii" else ("V", "m/s", "m3"))]
+    foreign = unit is not None and all(each is None or each.exponents != unit.exponents for each in own)
+    return foreign or _NODE.fullmatch(text) is not None
 
 
 def _like_unit(text: str) -> bool:
@@ -241,7 +234,7 @@ def find_head(rows: Sequence[Sequence[Cell]], decimal: str = ".") -> TableHeader
     index, *others = _texts(rows[header])
     if plain_name(index) in TIME_NAMES and not any(others) and all(top):  # pandas names an index below
         return TableHeader((index, *top[1:]), (), first)
-    made = partial(TableHeader, first=first, step=_step_said(rows[:first], decimal), rows=_rows_said(rows[:first]))
+    made = partial(TableHeader, first=first, step=step_said(rows[:first], decimal), rows=rows_said(rows[:first]))
     keyed = (_of_one_key(row) for row in rows[header + 1 : first])
     if units := next((cells for key, cells in keyed if key in _UNIT_KEYS), ()):
         return made(_texts(rows[header]), units)
@@ -352,34 +345,6 @@ def check_units(head: TableHeader, source: str) -> None:
     if head.units and len(head.units) != len(head.names):
         said = f"{len(head.units) - 1} units above the header, {len(head.names)} columns"
         raise InputError(f"{source}: {said}. Give each column one unit.")
-
-
-def _said(rows: Sequence[Sequence[Cell]]) -> Iterator[tuple[str, str]]:
-    """Yield what lines above a header say: ``Sample Interval,0.01``, ``Sample rate: 100``."""
-    for row in rows:
-        first, *others = re.split(r"\s*[:=]\s*", str(row[0]), maxsplit=1) if row else [""]
-        key = first.strip().strip('"').lower().replace("_", " ")
-        yield key, str([*others, *row[1:], ""][0]).strip()
-
-
-def _rows_said(rows: Sequence[Sequence[Cell]]) -> int | None:
-    """Return the number of samples that lines above the header say."""
-    said = dict(_said(rows))
-    return next((int(said[key]) for key in _COUNT_KEYS if said.get(key, "").isdecimal()), None)
-
-
-def _step_said(rows: Sequence[Sequence[Cell]], decimal: str) -> float | None:
-    """Return the time between samples that lines above the header say, s."""
-    for key, text in _said(rows):
-        found = _WITH_TIME_UNIT.fullmatch(text.replace(decimal, "."))
-        if found is None or key not in (*_STEP_KEYS, *_RATE_KEYS):
-            continue
-        value, unit = float(found["number"]), found["unit"]
-        if key in _RATE_KEYS and unit in _HERTZ and value > 0.0:
-            return 1.0 / (value * _HERTZ[unit])
-        if key in _STEP_KEYS and (unit == "" or unit in SECONDS) and value > 0.0:
-            return value * SECONDS.get(unit, 1.0)
-    return None
 
 
 def _there(cell: Cell) -> bool:

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from pandas.api.types import is_float_dtype
+from pandas.api.types import is_float_dtype, is_numeric_dtype
 
 from fmuid.array_types import Flags, Floats
-from fmuid.data.filters import SAME, usual_step
+from fmuid.data.filters import GAP, SAME, usual_step
 from fmuid.data.interpolation import HELD
 from fmuid.errors import InputError
 
@@ -21,6 +21,8 @@ _GRIDS = (1.0, 0.1, 0.01)
 """Steps of rounded times, s."""
 _JITTER = 0.05
 """Share of a step by which times of one row may differ besides a constant that nobody knows."""
+_SLOWER = 0.6
+"""Samples of a slower column per row, at most."""
 _WORDS = re.compile(r"[^\W\d_]+|\d+")
 
 
@@ -160,6 +162,7 @@ def joined(
     return pd.DataFrame(found)
 
 
+@np.errstate(over="ignore")  # beyond double precision
 def inputs_at_all_times(
     frame: pd.DataFrame, time: str, inputs: Mapping[str, str], outputs: Iterable[str], source: str
 ) -> pd.DataFrame:
@@ -170,8 +173,9 @@ def inputs_at_all_times(
     Rows of unused time columns, and those outside the times of an input, are left out.
     """
     clocks: Mapping[str, str] = frame.attrs.get(CLOCKS, {})
-    own = {column: clocks.get(column, "") for column in (*inputs, *outputs)}
-    if not clocks or not set(own.values()) & set(frame.columns):
+    own = {column: clocks.get(column, column) for column in (*inputs, *outputs)}
+    timed = any(clock in frame.columns for column, clock in own.items() if clock != column)
+    if not timed and not any(_is_slower(frame[time], frame[column]) for column in inputs):
         return frame
     times, rows = frame[time].to_numpy(dtype=np.float64), dict[str, Flags]()
     for column, clock in own.items():
@@ -187,6 +191,15 @@ def inputs_at_all_times(
     found = frame.assign(**values)[kept].reset_index(drop=True)
     found.attrs = dict(frame.attrs)
     return found
+
+
+def _is_slower(times: pd.Series[Any], column: pd.Series[Any]) -> bool:
+    """Return whether a column has samples at a slower rate than others: in even steps, and no gaps."""
+    there = column.notna().to_numpy()
+    if not 5 <= there.sum() <= _SLOWER * there.size or not is_numeric_dtype(times.dtype):
+        return False
+    steps = np.diff(times.to_numpy()[there])
+    return bool(steps.min() > 0 and steps.max() <= GAP * np.median(steps))
 
 
 def _between(times: Floats, values: Floats, at: Floats, how: str) -> Floats:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from fmuid import Experiment, InputError, read_data
+from fmuid import Experiment, InputError, Study, datasets, read_data
 
 COUNT = 60
 TIMES = 0.7e-3 * np.arange(COUNT)
@@ -107,3 +108,21 @@ def test_dates_with_dots_begin_with_the_day(tmp_path: Path) -> None:
     rows = "".join(f"01.03.2026 10:00:0{k};{k}\n" for k in range(5))
     (tmp_path / "table.csv").write_text("time;u\n" + rows)
     assert read_data(tmp_path / "table.csv").attrs["begin"].month == 3
+
+
+def test_a_slower_input_on_the_same_times(tmp_path: Path) -> None:
+    """Empty cells between even samples are a slower rate; other gaps name keys that fill them."""
+    times = 0.01 * np.arange(300)
+    rows = np.arange(300)
+    slow = np.where(rows % 50 == 10, times, np.nan)
+    experiment = Experiment(read_data(written(tmp_path, time=times, u=slow, i=1.0)), ["u"], ["i"])
+    np.testing.assert_allclose(experiment.times, times[10:261])
+    np.testing.assert_allclose(experiment.input_values[:, 0], times[10:261])
+    pauses = read_data(written(tmp_path, time=times, u=np.where((rows // 30) % 3 == 1, times, np.nan), i=1.0))
+    with pytest.raises(InputError, match="has no value in row 1") as caught:
+        Experiment(pauses, ["u"], ["i"])
+    keys = tomllib.loads(str(caught.value).partition("Fill the gap, ")[2].partition(", or")[0])["preprocess"]
+    assert keys == {"fill_missing": {"u": "linear"}, "max_gap": 0.61, "start_time": 0.3, "end_time": 2.39}
+    roles = {"data": "table.csv", "inputs": ["u"], "outputs": ["i"], "preprocess": keys}
+    study = Study.of({**datasets.coil().study, "experiments": [roles]}, tmp_path / "study.toml")
+    np.testing.assert_allclose(study.problem().experiments[0].input_values[:, 0], times[30:240])

@@ -256,3 +256,12 @@ def test_two_header_rows_of_pandas(tmp_path: Path, name: str) -> None:
 def test_a_unit_after_a_slash(header: str, name: str, unit: str | None) -> None:
     """DIN 1313 writes units after a slash; rates and ratios are names."""
     assert split_header(header) == (name, unit)
+
+
+@pytest.mark.parametrize(
+    ("header", "unit"),
+    [("V(U)", None), ("I(A1)", None), ("V(A)", None), ("I(V)", None), ("V(mV)", "mV"), ("v(km/h)", "km/h")],
+)
+def test_nodes_of_circuits(header: str, unit: str | None) -> None:
+    """Letters that are units of other quantities name nodes."""
+    assert split_header(header) == (header if unit is None else header[0], unit)

@@ -90,6 +90,8 @@ DAY = "{d:%d.%m.%Y %H:%M:%S.%f}"
 TABLES = {
     "GW Instek": ("a.csv", INSTEK, "{t:.6E},{u},{t:.6E},{i},{t:.6E},{w},"),
     "Hantek": ("a.csv", "#CHANNEL,u,i,w\n#CLOCK=10mS,,,\n#SIZE=120,,,\n#UNITS=V,A,rad/s,\n", "{u},{i},{w},"),
+    "interval above": ("a.txt", "# rig 4\n# Sampling interval [ms] = 10\nu i w\n", "{u} {i} {w}"),
+    "rate in cells above": ("a.csv", "Abtastrate:;0,1;kHz\n\nu [V];i [A];w [rad/s]\n", "{U};{I};{W}"),
     "Owon": ("a.csv", OWON, "{k},{u},{ma},{w}"),
     "LabChart": ("a.txt", LABCHART, "{t}\t{u}\t{i}\t{w}"),
     "AcqKnowledge": ("a.txt", ACQKNOWLEDGE, "{u}\t{i}\t{w}\t"),
@@ -112,6 +114,10 @@ TABLES = {
     "ticks of .NET": ("a.csv", "Ticks;u;i;w\n", "{ticks};{u};{i};{w}"),
     "uptime": ("a.csv", "Uptime,u,i,w\n", "0d 00h 00m {t:06.3f}s,{u},{i},{w}"),
     "Landt": ("a.csv", "Record,TestTime/Sec,StepTime/Sec,u/V,i/mA,w\n", "{n},{t},{t},{u},{ma},{w}"),
+    # --- one channel ---
+    "Hantek DSO": (
+        "a.csv", "#timebase=2000000000000(ps)\n,#voltbase=1000000(uV)\n#size=120\n", "{t:.5E},{u}",
+    ),
     # --- refused ---
     "Octave": ("a.txt", "# Created by Octave 8\n# name: d\n# type: matrix\n# rows: 120\n", "{t} {u} {i} {w}"),
     "times in brackets, no names": ("a.log", "", "[{d:%Y-%m-%d %H:%M:%S.%f}] {u}, {i}, {w}"),
@@ -134,6 +140,7 @@ def texts(frame: pd.DataFrame, dates: pd.Series) -> dict[str, tuple[str, str]]:
         "pages of SPICE": ("a.out", _pages(rows)),
         "Qucs": ("a.dat", _qucs(rows)),
         "OpenModelica's plots": ("a.plt", _plots(rows)),
+        "Hantek, a block a channel": ("a.txt", _channels(rows)),
         "universal file": ("a.uff", _universal(rows)),
     }
 
@@ -168,6 +175,13 @@ def _plots(rows: list[Fields]) -> str:
         f"DataSet: {name}\n" + "".join(f"{row['t']}, {row[key]}\n" for row in rows) for name, key in names.items()
     )
     return head + "\n".join(blocks)
+
+
+def _channels(rows: list[Fields]) -> str:
+    """Return blocks of Hantek, one below another."""
+    form = "# CHANNEL:{}\n# CLOCK=10.0mS\n# SIZE={}\n# UNITS:{}\n\n{}\n\n"
+    units = {"u": "V", "i": "A", "w": "rad/s"}
+    return "".join(form.format(n, len(rows), unit, "\n".join(str(r[n]) for r in rows)) for n, unit in units.items())
 
 
 def _universal(rows: list[Fields]) -> str:

@@ -475,6 +475,7 @@ SAID = {
     "one block below another": "row 121 goes back",
     "percent in cells": "unit '%' of 'w' does not convert",
     "Tektronix TDS": "no column for the input u",
+    "Hantek DSO": "no column for the output",
     "Keysight InfiniiVision": "no column for the output",
     "scope-matrix.mat": "no column for the output",
     "minimum and maximum": "undecided: u Min or u Max",

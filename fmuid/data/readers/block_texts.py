@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from fmuid.data.cells import is_number
 from fmuid.data.headers import split_header
+from fmuid.data.readers.row_checks import check_count
+from fmuid.data.said_values import interval_of
 from fmuid.data.time_names import is_time_name
 from fmuid.errors import InputError
-from fmuid.units import SECONDS
 
 _QUCS = re.compile(r"<(?P<kind>indep|dep) (?P<name>\S+)(?: (?P<rest>[^>]*))?>\n(?P<values>[^<]*)</(?P=kind)>")
 _COLUMN = re.compile(r"Index\s+\S")
@@ -33,10 +35,7 @@ def _spice_raw(lines: Sequence[str], source: str) -> Iterator[str]:
     yield _row(line.split()[1] for line in lines[first : first + count])
     cells = " ".join(lines[places["values"] + 1 :]).split()
     points = int(lines[places["no. points"]].partition(":")[2])
-    if len(cells) != points * (count + 1):
-        raise InputError(
-            f"{source}: {len(cells) // (count + 1)} points in place of {points}. Write the whole file again."
-        )
+    check_count(len(cells) / (count + 1), str(points), source)
     yield from (",".join(cells[k + 1 : k + 1 + count]) for k in range(0, len(cells), count + 1))
 
 
@@ -125,21 +124,37 @@ def _transposed(lines: Sequence[str], source: str) -> Iterator[str]:
 
 
 def _hantek(lines: Sequence[str], source: str) -> Iterator[str]:
-    """Yield samples of Hantek at the interval above them."""
-    said = dict(re.split(r"[:=,]", line.lstrip("#"), maxsplit=1) for line in lines if line.startswith("#"))
-    names = [name for name in said["CHANNEL"].split(",") if name.strip()]
-    units = [unit for unit in said.get("UNITS", "").split(",") if unit.strip()]
-    clock = re.fullmatch(r"([\d.]+)\s*(\w+)", said["CLOCK"].strip(", "))
-    if clock is None or len(units) not in (1, len(names)):
+    """Yield samples of Hantek at the interval above them, one block below another if each has a channel."""
+    starts = [k for k, line in enumerate(lines) if re.match(r"#\s*CHANNEL", line)]
+    heads, columns, clocks = list[str](), list[list[str]](), set[str]()
+    for first, end in itertools.pairwise([*starts, len(lines)]):
+        block = [line.strip() for line in lines[first:end] if line.strip()]
+        said = dict(re.split(r"[:=,]", line.lstrip("# "), maxsplit=1) for line in block if line.startswith("#"))
+        names = [name for name in said["CHANNEL"].split(",") if name.strip()]
+        units = [unit for unit in said.get("UNITS", "").split(",") if unit.strip()]
+        if len(units) not in (1, len(names)):
+            raise ValueError
+        rows = [line.rstrip(",").split(",") for line in block if not line.startswith("#")]
+        check_count(len(rows), said.get("SIZE", "").strip(", "), source)
+        heads += (f"{name.strip()} [{units[k % len(units)].strip()}]" for k, name in enumerate(names))
+        columns += [[*column] for column in zip(*rows, strict=True)]
+        clocks.add(said["CLOCK"].strip(", "))
+    (step,) = map(interval_of, clocks)
+    if step is None or len(columns) != len(heads):
         raise ValueError
-    step = float(clock[1]) * SECONDS[clock[2].lower()]
-    rows = [line.strip().rstrip(",") for line in lines if line.strip() and not line.startswith("#")]
-    count = said.get("SIZE", "").strip(", ")
-    if count.isdecimal() and len(rows) != int(count):
-        raise InputError(f"{source}: {len(rows)} rows of samples in place of {count}. Write the whole file again.")
-    heads = (f"{name.strip()} [{units[k % len(units)].strip()}]" for k, name in enumerate(names))
-    yield ",".join(("time [s]", *heads))
-    yield from (f"{step * k!r},{row}" for k, row in enumerate(rows))
+    times = [repr(step * k) for k in range(max(map(len, columns)))]
+    yield from _of_columns({"time [s]": times, **dict(zip(heads, columns, strict=True))}, source)
+
+
+def _hantek_dso(lines: Sequence[str], source: str) -> Iterator[str]:
+    """Yield samples of Hantek's bench scopes: V, or mV where they are far beyond the screen of eight divisions."""
+    said = dict(re.split(r"=", line.strip(",# "), maxsplit=1) for line in lines[:3])
+    rows = [line for line in lines[3:] if line.strip()]
+    check_count(len(rows), said["size"], source)
+    screen = 8e-6 * float(said["voltbase"].partition("(")[0])
+    largest = max(abs(float(row.split(",")[1])) for row in rows)
+    yield f"time [s],CH1 [{'mV' if largest > 10 * screen else 'V'}]"
+    yield from rows
 
 
 def _octave(_lines: Sequence[str], source: str) -> Iterator[str]:
@@ -171,7 +186,8 @@ BLOCKS: tuple[tuple[re.Pattern[str], Callable[[Sequence[str], str], Iterator[str
     (re.compile(r"IGOR\s*\n"), _igor),
     (re.compile(r"(?:\s*%[^\n]*\n|\s*\n)*\s*@relation\b", re.IGNORECASE), _weka),
     (re.compile(r"(?:#[^\n]*\n)*# type: matrix"), _octave),
-    (re.compile(r"#CHANNEL[,:](?:[^\n]*\n){1,4}?#CLOCK="), _hantek),
+    (re.compile(r"#\s*CHANNEL[,:](?:[^\n]*\n){1,4}?#\s*CLOCK="), _hantek),
+    (re.compile(r"#timebase=[^\n]*\n,?#voltbase=[^\n]*\n#size="), _hantek_dso),
     (re.compile(rf"{_SIGNAL}{_SIGNAL}"), _transposed),
 )
 """How the text begins, and who rewrites it."""

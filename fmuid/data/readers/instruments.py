@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from fmuid.data.cells import is_number
 from fmuid.data.readers.block_texts import BLOCKS
 from fmuid.data.readers.keyed_lines import KEYED
+from fmuid.data.readers.row_checks import check_count
+from fmuid.data.said_values import interval_of
 from fmuid.errors import InputError
-from fmuid.units import SECONDS
 
 _KEPT = ("Samples", "Delta_X", "Y_Unit_Label")
 _TABLE = re.compile(r"(?:double|float)\s+(?P<name>[\w.]+)\s*\(\s*(?P<rows>\d+)\s*,\s*(?P<columns>\d+)\s*\)(?P<rest>.*)")
@@ -23,7 +24,7 @@ def _one_channel(lines: Sequence[str], source: str) -> Iterator[str]:
     said = {row[0].strip().lower(): row[1].strip() for row in rows if row[0].strip()}
     yield f"time [{said.get('horizontal units') or 's'}],{said.get('source', 'CH1')} [{said.get('vertical units', '')}]"
     samples = [row[3:5] for row in rows]
-    _check_count(len(samples), said.get("record length", ""), source)
+    check_count(len(samples), said.get("record length", ""), source)
     yield from map(",".join, samples)
 
 
@@ -57,7 +58,7 @@ def _modelica(lines: Sequence[str], source: str) -> Iterator[str]:
         next((each for each in names if len(each) == count), ["time", *map("c{}".format, range(2, count + 1))])
     )
     rows = [line.partition("#")[0].replace(",", " ").replace(";", " ") for line in lines[place + 1 :]]
-    _check_count(sum(len(row.split()) for row in rows) // max(count, 1), head["rows"], source)
+    check_count(sum(len(row.split()) for row in rows) // max(count, 1), head["rows"], source)
     yield from rows
 
 
@@ -135,8 +136,7 @@ def _acqknowledge(lines: Sequence[str], source: str) -> Iterator[str]:
         yield "\t".join((f"time [{head[0]}]", *names))
         yield from map("\t".join, rows)
         return
-    if len(rows) != int(samples[0]):  # times are those of row numbers
-        raise InputError(f"{source}: {len(rows)} rows of samples in place of {samples[0]}. Write the whole file again.")
+    check_count(len(rows), samples[0], source)  # times are those of row numbers
     yield "\t".join((f"time [{'ms' if unit == 'msec' else 's'}]", *names))
     yield from ("\t".join((repr(k * float(step)), *row)) for k, row in enumerate(rows))
 
@@ -151,11 +151,11 @@ def _msr(lines: Sequence[str]) -> RewrittenHead:
 
 def _owon(lines: Sequence[str]) -> RewrittenHead:
     """Return the head of Owon: row numbers, and the interval above."""
-    step = next(line.split(",")[1] for line in lines if line.startswith("Time interval"))
-    found = re.fullmatch(r"([\d.]+)\s*(\w+)", step.strip())
+    step = interval_of(next(line.split(",")[1] for line in lines if line.startswith("Time interval")))
     count = next(k for k, line in enumerate(lines) if line.startswith("index,"))
-    seconds = float(found[1]) * SECONDS[found[2].lower()] if found else float(step)
-    return RewrittenHead([lines[count].replace("index", "time", 1)], count + 1, (0.0, seconds))
+    if step is None:
+        raise ValueError
+    return RewrittenHead([lines[count].replace("index", "time", 1)], count + 1, (0.0, step))
 
 
 def _gw_instek(lines: Sequence[str]) -> RewrittenHead:
@@ -185,13 +185,6 @@ def _sunny_portal(lines: Sequence[str]) -> RewrittenHead:
 
 def _text_of_dymola(_lines: Sequence[str], source: str) -> Iterator[str]:
     raise InputError(f"{source}: a text result of Dymola. Save it as .mat or .csv.")
-
-
-def _check_count(found: int, said: str, source: str) -> None:
-    """Refuse a table with fewer rows than its head says."""
-    count = float(said or found)
-    if found < count:
-        raise InputError(f"{source}: {found} rows of samples in place of {count:g}. Write the whole file again.")
 
 
 _LAYOUTS: tuple[tuple[re.Pattern[str], Callable[[Sequence[str], str], Iterator[str]]], ...] = (

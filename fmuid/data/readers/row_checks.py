@@ -27,6 +27,13 @@ def check_rows(rows: Sequence[Sequence[str]], head: TableHeader, decimal: str, s
         _check_thousands(name, column, decimal, source)
 
 
+def check_count(found: float, said: str, source: str) -> None:
+    """Refuse a table with other rows than its head says."""
+    count = float(said or found)
+    if found != count:
+        raise InputError(f"{source}: {found:g} rows of samples in place of {count:g}. Write the whole file again.")
+
+
 def _regular(rows: Sequence[Sequence[str]], head: TableHeader) -> list[Sequence[str]]:
     return [row for row in rows if len(row) == len(head.names)]
 
