@@ -92,7 +92,7 @@ _POWER_OF_A_NUMBER = re.compile(r"[\d)]\s*(\^|\*\*)")  # in no unit; slow in pin
 _CLEAR = (
     "rpm mA kA uA µA mV kV uV µV mW kW Nm mNm kNm kPa MPa mbar degC degF deg mOhm kOhm mm cm kHz kmh kph mph mps pct"
 )
-_IN_NAMES = re.compile(rf".+[_ ]({'|'.join(_CLEAR.split())})")
+_IN_NAMES = re.compile(rf".+[_ .:\-{{<]({'|'.join(_CLEAR.split())})[}}>]?")
 """Column names that end in a unit; ``R_s``, ``i_d`` and ``p_bar`` do not."""
 _CAPITALS = {each.upper(): each for each in _CLEAR.split()}
 _AT_END = re.compile(r".+[_ ]([^\W\d_]+)")

@@ -14,7 +14,14 @@ from fmuid.array_types import Floats
 from fmuid.data.coarse_clock import regular_times
 from fmuid.data.headers import RawTable, split_header
 from fmuid.data.several_clocks import assigned, joined, resolution, same_clock
-from fmuid.data.time_names import TIME_NAMES, counts_part, is_time_name, plain_name
+from fmuid.data.time_names import (
+    TIME_NAMES,
+    counts_part,
+    is_time_name,
+    is_unit_of_time,
+    plain_name,
+    unit_in_time_name,
+)
 from fmuid.data.time_numbers import (
     DATES,
     clock_in_digits,
@@ -330,6 +337,9 @@ def time_column(raw: RawTable, time: str | int, source: str) -> str | None:
             return called[0]
         if time_unit(raw.units.get(names[0], "")) is not None and _are_times(raw.frame[names[0]], source, mostly=0.9):
             return names[0]
+        counted = [name for name in timely if is_unit_of_time(name) and _are_times(raw.frame[name], source)]
+        if len(counted) == 1:
+            return counted[0]
         texts = [str(name) for name in raw.frame.select_dtypes(exclude="number").columns]
         dated = [name for name in texts if _are_times(raw.frame[name].head(1000), source)]
         if len(dated) == 1:
@@ -416,4 +426,4 @@ def _unit_said(raw: RawTable, column: str) -> str | None:
     if said is not None and time_unit(said) is not None:
         return time_unit(said)
     suffix = _WITH_SUFFIX.fullmatch(column)
-    return suffix[2].lower() if suffix and said is None else None
+    return None if said is not None else suffix[2].lower() if suffix else unit_in_time_name(column)

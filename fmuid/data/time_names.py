@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 
+from fmuid.units import SECONDS
+
 TIME_NAMES = (
     "time", "t", "zeit", "timestamp", "timestamps", "time stamp", "zeitstempel", "datetime", "uhrzeit", "heure",
     "hora", "date", "date/time", "date time", "datum", "datum/zeit", "datum zeit", "temps", "tiempo", "tempo", "tijd",
@@ -11,6 +13,7 @@ TIME_NAMES = (
     "test time", "seconds", "second", "sekunden", "x value", "x-axis", "zeitachse", "elapsed", "utc", "ts", "tout",
     "date&time", "date & time", "date and time", "run time", "total time", "cumulative time", "testtime", "uts",
     "stamp", "timestring", "uptime", "ticks", "aika", "last changed", "last updated",
+    "zeitpunkt", "laufzeit", "messzeit", "testzeit", "dauer", "시간",
     "測定時間", "経過時間", "日時", "测试时间", "记录时间", "总时间", "日期",
 )  # fmt: skip
 """What tables call their time, in small letters, in the order of preference."""
@@ -33,6 +36,28 @@ _TIME_WORDS = (
     "secs",
     "epoch",
 )
+_UNIT_WORDS = {each: each for each in SECONDS if len(each) > 1 and each not in ("day", "days", "tage")}
+_UNIT_WORDS |= dict.fromkeys(("millis", "milliseconds", "msecs", "millisec"), "ms")
+_UNIT_WORDS |= dict.fromkeys(("micros", "usecs", "microsec"), "us") | dict.fromkeys(("nanos", "nsecs", "nanosec"), "ns")
+_BESIDE_UNITS = {"time", "t", "zeit", "elapsed", "since", "start", "begin", "total", "run", "test", "clock", "sim", "timestamp", "stamp"}
+"""Words beside a unit in names of times: ``elapsedMillis``, ``seconds_since_start``."""
+
+
+def _unit_words(name: str) -> list[str]:
+    apart = re.sub(r"(?<=[^\W\d_A-Z])(?=[A-Z])", " ", name)
+    return [word.lower() for word in re.findall(r"[^\W\d_]+", apart)]
+
+
+def unit_in_time_name(name: str) -> str | None:
+    """Return the unit among the words of a time's name: ``TimeMs``, ``Time:ms``, ``millis``."""
+    return next((_UNIT_WORDS[word] for word in reversed(_unit_words(name)) if word in _UNIT_WORDS), None)
+
+
+def is_unit_of_time(name: str) -> bool:
+    """Return whether a name is a unit of time, perhaps beside words of time; ``Min`` is no minute."""
+    words = {*_unit_words(name)}
+    units = words & _UNIT_WORDS.keys()
+    return words != {"min"} and len(units) == 1 and words - units <= _BESIDE_UNITS
 
 
 def plain_name(name: str) -> str:
