@@ -33,8 +33,9 @@ _MEANT = {
     "turn/s": "rps, rev/s, revs/s, r/s, U/s, tr/s, turn/s, turns/s",
     "V": "Volt, Volts, volt, volts, VDC, Vdc",
     "A": "Amp, Amps, amp, amps, Ampere, Amperes, ampere, amperes, ADC, Adc",
-    "mV": "mVDC, mVdc",
-    "mA": "mADC, mAdc",
+    "mV": "mVDC, mVdc, mVolt, mVolts",
+    "mA": "mADC, mAdc, mAmp, mAmps",
+    "mbar": "mBar, MBAR",
     "ohm": "Ohm, Ohms, ohms, Ω, Ω",
     "deg": "degrees, Degrees, degree, Degree, deg., °, º",
     "deg/s": "°/s, degrees/s, deg/sec, dps",
@@ -60,7 +61,8 @@ _MEANT = {
     "mV*s": "mVs",
     "uV*s": "uVs",
     "W*s": "Ws",
-    "degC": "°C, ℃, ºC, oC, deg C, deg. C, Deg C, deg_C, degrees C, Celsius, celsius, Grad C, grad C",
+    "degC": "°C, ℃, ºC, oC, deg C, deg. C, Deg C, Deg. C, DEG C, deg_C, degrees C, degree C, Celsius, celsius, "
+    "degrees Celsius, degree Celsius, Grad Celsius, Grad C, grad C, \ufffdC, Â°C",
     "degF": "°F, deg F, deg_F, Fahrenheit",
     "K": "Kelvin, kelvin, °K",
     "": "1, -, p.u., p.u, pu, PU, per unit",
@@ -90,10 +92,34 @@ _OF_BASE = re.compile(
 _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
 _POWER_OF_A_NUMBER = re.compile(r"[\d)]\s*(\^|\*\*)")  # in no unit; slow in pint
 _CLEAR = (
-    "rpm mA kA uA µA mV kV uV µV mW kW Nm mNm kNm kPa MPa mbar degC degF deg mOhm kOhm mm cm kHz kmh kph mph mps pct"
+    "rpm mA kA uA µA mV kV uV µV mW kW Nm mNm kNm kPa MPa mbar degC degF deg mOhm kOhm mm cm kHz kmh kph mph mps pct "
+    "RPM hPa mBar mAmps mVolts mAh °C \ufffdC °F %"
 )
-_IN_NAMES = re.compile(rf".+[_ .:\-{{<]({'|'.join(_CLEAR.split())})[}}>]?")
-"""Column names that end in a unit; ``R_s``, ``i_d`` and ``p_bar`` do not."""
+_AFTER_WORDS = (
+    "Deg C",
+    "deg C",
+    "Deg. C",
+    "degrees C",
+    "Deg F",
+    "deg F",
+    "bar",
+    "psi",
+    "Pa",
+    "hp",
+    "Amps",
+    "Volts",
+    "m/s",
+    "km/h",
+)
+"""Units that names have after a space, ``Temp. Deg C``."""
+SHORT_FORMS = {"C": "degC", "F": "degF"}
+"""Units of temperatures that are those of charge and capacity elsewhere."""
+_IN_NAMES = re.compile(
+    rf"(?:.+[_ .:\-{{<])?(?P<unit>{'|'.join(_CLEAR.split())})[}}>]?"
+    rf"|.*[^\W\d_]{{3,}}\.? (?P<last>{'|'.join(map(re.escape, _AFTER_WORDS))})"
+    r"|.*[Tt](?:emp|EMP).*[_ .](?P<short>[CF])",
+)
+"""Column names that end in a unit or are one; ``R_s``, ``i_d`` and ``p_bar`` do not."""
 _CAPITALS = {each.upper(): each for each in _CLEAR.split()}
 _AT_END = re.compile(r".+[_ ]([^\W\d_]+)")
 
@@ -161,6 +187,7 @@ def _as_pint(text: str) -> str:
     """Return a unit as pint reads it: ``N.m2/s`` as ``N*m**2/s``."""
     text = _SPELLINGS.get(text, text).translate(_SUPERSCRIPTS).replace("Ohm", "ohm").replace("·", "*")
     text = re.sub(r"(?<=[A-Za-zµμΩ])\^?(-?\d+)", r"**(\1)", text)
+    text = re.sub(r"(?<=[NAWgf])-(?=(?:m|mm|cm|h|in|m2)\b)", "*", text)  # kN-m
     return re.sub(r"(?<=[A-Za-zµμΩ)\d])\.(?=[A-Za-zµμΩ(])", "*", text)
 
 
@@ -179,8 +206,14 @@ def unit_in_name(column: str, variable: str = "", own: str = "") -> str | None:
 
     None if the name of its variable ends so too. With the variable's own unit, any that converts: ``LEVEL_CM``.
     """
-    found, end, known = _IN_NAMES.fullmatch(column), _AT_END.fullmatch(column), parse_unit(own) if own else None
-    if found is None and known is not None and end is not None:
+    found, end, known = _in_name(column.strip()), _AT_END.fullmatch(column), parse_unit(own) if own else None
+    if not found and known is not None and end is not None:
         unit = parse_unit(text := _CAPITALS.get(end[1], end[1]) if column.isupper() else end[1])
         return text if unit and unit.exponents == known.exponents and not variable.endswith(end[1]) else None
-    return found[1] if found and not variable.endswith(found[1]) else None
+    return None if not found or variable.endswith(found) else SHORT_FORMS.get(found, found)
+
+
+def _in_name(column: str) -> str:
+    """Return the clear unit at the end of a name, or the name that is one; empty if none."""
+    found = _IN_NAMES.fullmatch(column)
+    return "" if found is None else next(each for each in found.groups() if each)

@@ -1,5 +1,4 @@
 from . import signals as signals
-from .clock import column_of as column_of
 from .clock import time_name as time_name
 from .data_file import BEGIN as BEGIN
 from .data_file import LEFT_OUT as LEFT_OUT
@@ -20,6 +19,7 @@ from .filters import evenly as evenly
 from .filters import extremes as extremes
 from .filters import missing_rows as missing_rows
 from .filters import usual_step as usual_step
+from .headers import column_of as column_of
 from .interpolation import INTERPOLATIONS as INTERPOLATIONS
 from .losses import LOSSES as LOSSES
 from .losses import Loss as Loss

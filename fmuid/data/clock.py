@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -12,7 +12,7 @@ import pandas as pd
 
 from fmuid.array_types import Floats
 from fmuid.data.coarse_clock import regular_times
-from fmuid.data.headers import RawTable, split_header
+from fmuid.data.headers import RawTable, column_of, missing_column
 from fmuid.data.several_clocks import assigned, joined, resolution, same_clock
 from fmuid.data.time_names import (
     TIME_NAMES,
@@ -33,20 +33,12 @@ from fmuid.data.time_numbers import (
 )
 from fmuid.data.time_texts import check_local_times, days_of, seconds_of, time_of_day, times_of
 from fmuid.errors import InputError
-from fmuid.formatting import nearest
 from fmuid.units import SECONDS, TIME_UNITS, time_unit
 
 REMEDY = "Name it, give sample_rate, or a kind for rows without times."
-_LISTED_NAMES = 12
-"""Names listed in a message."""
 _WITH_SUFFIX = re.compile(rf"(.*\S)[_ ]({'|'.join(SECONDS)})", re.IGNORECASE)
-_PARTS = {
-    **dict.fromkeys(("ms", "msec", "msecs", "millis", "millisecond", "milliseconds", "milli"), 1e-3),
-    **dict.fromkeys(("us", "usec", "usecs", "micros", "microsecond", "microseconds"), 1e-6),
-    **dict.fromkeys(("ns", "nsec", "nsecs", "nanos", "nanosec", "nanosecond", "nanoseconds"), 1e-9),
-    "fractional seconds": 1.0,
-}
-"""Last words of columns beside times of whole seconds, and their units, s."""
+_PARTS = (1e-3, 1e-6, 1e-9)
+"""Units of columns beside times of whole seconds, s."""
 
 
 def time_name(time: str | int) -> str:
@@ -107,7 +99,7 @@ def with_time(
         said = f"time column {column!r} has dates; time_unit is for numbers"
         raise InputError(f"{source}: {said}. Remove it, or set model_time_unit for that of the FMU.")
     main = _with_parts(raw, _with_days(raw, main, source))
-    others, notes = _other_clocks(raw, main, unit, clocks, source)
+    main, others, notes = _other_clocks(raw, main, unit, clocks, source)
     frame = raw.frame
     if others:
         seconds = {each.name: each.seconds(main.begin) for each in (main, *others)}
@@ -149,7 +141,7 @@ def _by_the_lines_above(raw: RawTable, name: str, step: float, source: str) -> T
 
 def _clock(raw: RawTable, column: str, unit: str | None, source: str, usual: str | None = None) -> _Clock:
     """Return a time column in s; `usual` is its unit where nothing says one."""
-    values, begin = times_of(raw.frame[column], column, source)
+    values, begin = times_of(raw.frame[column], column, source, raw.units.get(column, column))
     if begin is not None and begin.tzinfo is None:
         check_local_times(raw.frame[column], (np.asarray(values, dtype=np.float64), begin), column, source)
     if begin is None and (dates := dates_in_digits(values)) is not None:
@@ -176,8 +168,8 @@ def _clock(raw: RawTable, column: str, unit: str | None, source: str, usual: str
 
 def _other_clocks(
     raw: RawTable, main: _Clock, unit: str | None, given: Mapping[str, str], source: str
-) -> tuple[list[_Clock], dict[str, str]]:
-    """Return further time columns with times of their own; others by the reason that they are left out."""
+) -> tuple[_Clock, list[_Clock], dict[str, str]]:
+    """Return the main and further time columns with times of their own; others by the reason that they are left out."""
     names = [str(name) for name in raw.frame.columns]
     for column in (*given, *given.values()):
         if column not in names:
@@ -193,9 +185,9 @@ def _other_clocks(
         if not pd.api.types.is_numeric_dtype(np.asarray(clock.values).dtype):
             raise InputError(f"{source}: time column {name!r} has texts. Write dates as 2026-02-28 12:00:00.")
         times, other = main.seconds(), clock.seconds(main.begin)
-        if slow := unit is None and _unit_by_dates(raw, main, clock):
-            said_so = f"time column {main.name!r} counts in {slow} by the dates of {name!r}"
-            raise InputError(f'{source}: {said_so}. Set time_unit = "{slow}".')
+        if slow := unit is None and main.name not in notes and _unit_by_dates(raw, main, clock):
+            main = replace(main, values=_scaled(main.values, SECONDS[slow]))
+            times, notes[main.name] = main.seconds(), f"counts in {slow} by the dates of {name!r}"
         if slow := unit is None and _unit_by_dates(raw, clock, main):
             notes[name] = f"the same times as {main.name!r}, in {slow}"
             continue
@@ -207,7 +199,7 @@ def _other_clocks(
             notes[name] = f"times without a common zero with {main.name!r}, and no columns after them"
         else:
             found.append(clock)
-    return found, notes
+    return main, found, notes
 
 
 def _unit_by_dates(raw: RawTable, clock: _Clock, dated: _Clock) -> str | None:
@@ -286,9 +278,9 @@ def _with_parts(raw: RawTable, clock: _Clock) -> _Clock:
 
 def _part_of_seconds(raw: RawTable, name: str) -> float | None:
     """Return the unit of parts of seconds, s: ``ms``, ``stamp.nsecs``, ``Time (ms)``."""
-    word = re.split(r"[._]", name.strip().lower())[-1]
     said = raw.units.get(name, "") if is_time_name(name) else ""
-    return _PARTS.get(word, _PARTS.get(said))
+    unit = SECONDS.get(said or unit_in_time_name(name) or "")
+    return 1.0 if "fractional" in name.lower() else unit if unit in _PARTS else None
 
 
 def _with_days(raw: RawTable, clock: _Clock, source: str) -> _Clock:
@@ -296,7 +288,7 @@ def _with_days(raw: RawTable, clock: _Clock, source: str) -> _Clock:
     found = [str(name) for name in raw.frame.columns if plain_name(str(name)) in DATES and name != clock.name]
     if clock.begin is not None or len(found) != 1 or (part := time_of_day(raw.frame[clock.name])) is None:
         return clock
-    days = days_of(raw.frame[found[0]], found[0], source)
+    days = days_of(raw.frame[found[0]], found[0], source, raw.units.get(found[0], found[0]))
     if days is None:
         return clock
     first = pd.Timedelta(seconds=float(part.iloc[0]))
@@ -342,7 +334,7 @@ def time_column(raw: RawTable, time: str | int, source: str) -> str | None:
             return counted[0]
         texts = [str(name) for name in raw.frame.select_dtypes(exclude="number").columns]
         dated = [name for name in texts if _are_times(raw.frame[name].head(1000), source)]
-        if len(dated) == 1:
+        if dated:
             return dated[0]
     return None
 
@@ -392,28 +384,6 @@ def _read_clock(raw: RawTable, name: str, source: str) -> _Clock | None:
         return None
 
 
-def column_of(columns: Iterable[object], wanted: str) -> str | None:
-    """Return the column of a name, with or without its unit; None if missing."""
-    names = [str(each) for each in columns]
-    return next((each for each in (wanted, split_header(wanted)[0]) if each in names), None)
-
-
-def missing_column(
-    role: str,
-    column: str,
-    known: Iterable[object],
-    remedy: str = "Name the right column.",
-    left_out: Mapping[str, str] | None = None,
-) -> str:
-    """Return the sentences on a missing column, with reason or near names."""
-    if left_out and column in left_out:
-        return f"{role} column {column!r} was not read: {left_out[column]}. Save it with its times, or resample it."
-    names = [str(name) or "(no name)" for name in known]
-    listed = ", ".join(names[:_LISTED_NAMES]) + (", …" if len(names) > _LISTED_NAMES else "")
-    found = nearest(column, names) or f" (columns: {listed or 'nothing numeric'})"
-    return f"{role} column {column!r} not found{found}. {remedy}"
-
-
 def _bare(name: str) -> str:
     """Return a name without a unit suffix: ``time_ms`` is ``time``."""
     found = _WITH_SUFFIX.fullmatch(name)
@@ -425,5 +395,7 @@ def _unit_said(raw: RawTable, column: str) -> str | None:
     said = raw.units.get(column)
     if said is not None and time_unit(said) is not None:
         return time_unit(said)
-    suffix = _WITH_SUFFIX.fullmatch(column)
-    return None if said is not None else suffix[2].lower() if suffix else unit_in_time_name(column)
+    if said is not None:
+        return None
+    suffix, numeric = _WITH_SUFFIX.fullmatch(column), pd.api.types.is_numeric_dtype(raw.frame[column].dtype)
+    return suffix[2].lower() if suffix else unit_in_time_name(column) if numeric else None

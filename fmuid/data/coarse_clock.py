@@ -20,6 +20,7 @@ class CoarseClockSettings:
     max_width_round: float = 1e-2  # the same around an interval or a rate of one digit
     step_ratio: float = 5.0  # of changes within pairs of one stamp to others: a step, no coarse clock
     min_rows: int = 20  # fewer show no pattern
+    max_devices: int = 20  # in the rows of one table
     min_changes: int = 10  # of a column that is asked
 
 
@@ -52,6 +53,7 @@ def regular_times(times: Floats, columns: pd.DataFrame, rate: float | None, name
     thrice = bool((pairs[1:] & pairs[:-1]).any())
     if pairs.mean() <= SETTINGS.repeated and not thrice:
         return None
+    _check_devices(times, columns, source)
     resolution = float(steps[steps > 0].min())
     if not _on_grid(steps, resolution):
         return None
@@ -72,6 +74,15 @@ def regular_times(times: Floats, columns: pd.DataFrame, rate: float | None, name
         more = " and the rows are not regular" if low > high else ""
         raise InputError(f"{source}: {said}{more}. Set sample_rate, or write more digits.")
     return np.asarray(times[0] + np.arange(times.size) * found)
+
+
+def _check_devices(times: Floats, columns: pd.DataFrame, source: str) -> None:
+    """Refuse rows of several devices, which a column of texts tells apart at each time."""
+    for name, column in columns.select_dtypes(["object", "str"]).items():
+        apart = not pd.DataFrame({"time": times, "device": column.to_numpy()}).duplicated().any()
+        if 1 < column.nunique() <= SETTINGS.max_devices and apart:
+            called = f"column {name!r}" if name else "the column without a name"
+            raise InputError(f"{source}: {called} has several values at one time. Keep the rows of {column.iloc[0]!r}.")
 
 
 def _possible_intervals(times: Floats, resolution: float) -> tuple[float, float]:

@@ -14,10 +14,10 @@ import numpy.typing as npt
 import pandas as pd
 
 from fmuid.array_types import Flags, Floats
-from fmuid.data.clock import column_of, missing_column
 from fmuid.data.data_file import DECIDED, LEFT_OUT, SOURCE, UNITS, numeric_column
 from fmuid.data.far_values import check_values
 from fmuid.data.filters import filling_keys, missing_rows, usual_step
+from fmuid.data.headers import column_of, missing_column
 from fmuid.data.interpolation import HELD, as_held, interpolation_words, slopes
 from fmuid.data.observation import Observation
 from fmuid.data.observed_table import model_roles, observed_table
@@ -196,8 +196,7 @@ class Experiment(HtmlTableMixin):
         for column in {*inputs.values(), *there.values()} if SOURCE in attributes and DECIDED not in attributes else ():
             check_values(numeric_column(frame, column, source), column, source)
         driven = dict(zip(inputs.values(), words, strict=True))
-        if self.kind == "time":
-            frame = inputs_at_all_times(frame, self.time, driven, there.values(), source)
+        frame = inputs_at_all_times(frame, self.time, driven if self.kind == "time" else {}, there.values(), source)
         times = _times(source, frame, self.time, self.least_rows)
         output_values = _values(source, frame, times, "output", outputs, there)
         if inputs and self.measured:
@@ -379,9 +378,8 @@ def _values(
         if bad.size:
             row = bad[0]
             found = "has no value" if np.isnan(values[row, k]) else f"is {values[row, k]}"
-            remedy = "Leave missing cells empty."
-            if role == "input":
-                remedy = f"Fill the gap, {filling_keys(times, values[:, k], column)}, or cut the data there."
+            remedy = f"Fill the gap, {filling_keys(times, values[:, k], column)}, or cut the data there."
+            remedy = remedy if role == "input" else "Leave missing cells empty."
             if np.isnan(values[:, k]).all():
                 raise InputError(f"{source}: {role} column {column!r} is empty. Write values, also of formulas.")
             said = f"{role} column {column!r} {found} in row {row + 1} (t = {times[row]:.9g} s)"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import partial
@@ -14,11 +14,14 @@ from fmuid.data.cells import MISSING, Cell, is_missing, is_number
 from fmuid.data.said_values import rows_said, step_said
 from fmuid.data.time_names import TIME_NAMES, counts_part, is_time_name, plain_name
 from fmuid.errors import InputError
+from fmuid.formatting import nearest
 from fmuid.units import SECONDS, parse_unit, time_unit
 
 if TYPE_CHECKING:
     import pandas as pd
 
+_LISTED_NAMES = 12
+"""Names listed in a message."""
 _WITH_UNIT = re.compile(
     r"(?P<name>.*?\S)(?P<gap>\s*)(\((?P<round>[^()]*(\([^()]*\)[^()]*)*)\)|\[(?P<square>[^\[\]]*)\])"
 )
@@ -26,7 +29,7 @@ _AFTER_WORD = re.compile(r"(?P<name>.*\S)(?:,? in | ?/ |, )(?P<unit>\S.*)")
 _AFTER_SLASH = re.compile(r"(?P<name>[^/]*[^/\s])/(?P<unit>[^/\s]+|rad/s|1/min)")
 _SLASH_UNITS = {
     "s", "sec", "Sec", "ms", "µs", "us", "min", "h", "Hz", "kHz", "V", "mV", "kV", "A", "mA", "kA", "Ohm", "ohm", "Ω",
-    "mOhm", "W", "kW", "deg", "°", "rad", "rpm", "rad/s", "1/min", "N", "Nm", "N.m", "°C", "degC",
+    "mOhm", "W", "kW", "deg", "°", "rad", "rpm", "rad/s", "1/min", "N", "Nm", "N.m", "°C", "\ufffdC", "degC",
 }  # fmt: skip
 """Units after a slash without spaces, as in DIN 1313; other slashes are ratios."""
 _RATES, _RATIOS = re.compile(r"([mk]?m|rad|deg|°|U|k?g|[lL]|1|rev)/(s|min|h)"), re.compile(r"m?[VA]|[WN]")
@@ -129,7 +132,7 @@ def split_header(header: str) -> tuple[str, str | None]:
         if quantity and words["unit"] in SECONDS and not (is_time_name(part) or counts_part(words["name"])):
             return quantity, f"{part}/{words['unit']}"  # a flow in smL/min
         return (header, None) if _RATIOS.fullmatch(words["name"]) else (words["name"], words["unit"])
-    unit = (found["round"] if found["round"] is not None else found["square"]).strip()
+    unit = without_remark((found["round"] if found["round"] is not None else found["square"]).strip())
     call = found["name"] == "der" or (found["name"] in _NODES and _is_node(unit, found["name"]))
     if not found["gap"] and (call or _INDEX.fullmatch(unit)):
         return header, None
@@ -137,6 +140,12 @@ def split_header(header: str) -> tuple[str, str | None]:
         return inner
     spaced = found["square"] is not None and bool(found["gap"]) and len(unit) <= _UNIT_LENGTH
     return (found["name"], unit) if is_unit(unit) or (unit and (spaced or _like_unit(unit))) else (header, None)
+
+
+def without_remark(unit: str) -> str:
+    """Return a unit without a remark in brackets: ``V (Voltage)``."""
+    found = re.fullmatch(r"(\S+) \([^()]*\)", unit)
+    return found[1] if found and is_unit(found[1]) and not is_unit(unit) else unit
 
 
 def _is_node(text: str, quantity: str) -> bool:
@@ -149,9 +158,14 @@ def _is_node(text: str, quantity: str) -> bool:
 
 def _like_unit(text: str) -> bool:
     """Return whether an unknown text is written as units are: ``Aeff``, ``A*10``."""
-    marked = re.search(r"[/*·^%°²³⁻¹Ωµμ]", text) is not None and " " not in text and len(text) <= _UNIT_LENGTH
+    marked = re.search(r"[/*·^%°²³⁻¹Ωµμ\ufffd]", text) is not None and " " not in text and len(text) <= _UNIT_LENGTH
     scaled = _SCALED.fullmatch(text)
-    return marked or _ALTERED.fullmatch(text) is not None or (scaled is not None and is_unit(scaled[1] or scaled[2]))
+    return (
+        text == "C"
+        or marked
+        or _ALTERED.fullmatch(text) is not None
+        or (scaled is not None and is_unit(scaled[1] or scaled[2]))
+    )
 
 
 def is_unit(text: str) -> bool:
@@ -165,13 +179,14 @@ def is_unit(text: str) -> bool:
 def named(headers: Sequence[str], units: Sequence[str] = ()) -> tuple[list[str], dict[str, str]]:
     """Return the names and units of columns; names that differ in the unit only keep it."""
     split = _split_alike(headers)
-    bare = [name for name, _ in split]
+    alike = [name for name, _ in split]
     names = [
-        name if bare.count(name) == 1 or headers.count(header) > 1 else header.strip()
+        name if alike.count(name) == 1 or headers.count(header) > 1 else header.strip()
         for (name, _), header in zip(split, headers, strict=True)
     ]
     names = _numbered(names)
-    below = [cell.strip().strip("[]()").strip() for cell in units] or [""] * len(names)
+    bare = (cell.strip().strip("[]()").strip() if cell.strip()[:1] in ("[", "(") else cell.strip() for cell in units)
+    below = [*map(without_remark, bare)] or [""] * len(names)
     said = {name: below[k] or split[k][1] for k, name in enumerate(names)}
     if not any(map(str.islower, "".join((*headers, *units)))):
         said = {name: f"{unit} or m{unit[1:]}" if unit in _EITHER else unit for name, unit in said.items()}
@@ -324,6 +339,8 @@ def _units_said(rows: Sequence[Sequence[Cell]], names: Sequence[str]) -> tuple[s
         key, *units = [*_texts(row), ""]
         while units and not units[-1]:
             units.pop()
+        if len(of_blocks := _units_of_blocks(key, units, names)) == len(names):
+            return of_blocks
         known = sum(is_unit(unit) for unit in units if unit)
         if key.lower() not in _UNIT_KEYS or known == 0:
             continue
@@ -338,6 +355,17 @@ def _units_said(rows: Sequence[Sequence[Cell]], names: Sequence[str]) -> tuple[s
         if len(units) == 1:  # of all signals
             return tuple(units[0] if k in places else "" for k in range(len(names)))
     return ()
+
+
+def _units_of_blocks(key: str, cells: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
+    """Return the units of blocks with empty columns between them, where each repeats the key; none of others."""
+    units = [after for each, after in zip(("", *cells), (*cells, ""), strict=False) if each == key] if key else []
+    units = [cells[0], *units] if cells else []
+    blocks = [*accumulate(int(not name) for name in names)]
+    if key.lower() not in _UNIT_KEYS or len(units) < 2 or blocks[-1] + 1 != len(units):
+        return ()
+    said = ["" if units[block].lower() == "none" else units[block] for block in blocks]
+    return tuple(unit if name and not is_time_name(name) else "" for unit, name in zip(said, names, strict=True))
 
 
 def check_units(head: TableHeader, source: str) -> None:
@@ -371,3 +399,25 @@ def _are_units(row: Sequence[Cell]) -> bool:
 
 def _texts(row: Sequence[Cell]) -> tuple[str, ...]:
     return tuple(" ".join(str(cell).split()) if _there(cell) else "" for cell in row)
+
+
+def column_of(columns: Iterable[object], wanted: str) -> str | None:
+    """Return the column of a name, with or without its unit; None if missing."""
+    names = [str(each) for each in columns]
+    return next((each for each in (wanted, split_header(wanted)[0]) if each in names), None)
+
+
+def missing_column(
+    role: str,
+    column: str,
+    known: Iterable[object],
+    remedy: str = "Name the right column.",
+    left_out: Mapping[str, str] | None = None,
+) -> str:
+    """Return the sentences on a missing column, with reason or near names."""
+    if left_out and column in left_out:
+        return f"{role} column {column!r} was not read: {left_out[column]}. Save it with its times, or resample it."
+    names = [str(name) or "(no name)" for name in known]
+    listed = ", ".join(names[:_LISTED_NAMES]) + (", …" if len(names) > _LISTED_NAMES else "")
+    found = nearest(column, names) or f" (columns: {listed or 'nothing numeric'})"
+    return f"{role} column {column!r} not found{found}. {remedy}"

@@ -39,23 +39,36 @@ _TIME_WORDS = (
 _UNIT_WORDS = {each: each for each in SECONDS if len(each) > 1 and each not in ("day", "days", "tage")}
 _UNIT_WORDS |= dict.fromkeys(("millis", "milliseconds", "msecs", "millisec"), "ms")
 _UNIT_WORDS |= dict.fromkeys(("micros", "usecs", "microsec"), "us") | dict.fromkeys(("nanos", "nsecs", "nanosec"), "ns")
-_BESIDE_UNITS = {"time", "t", "zeit", "elapsed", "since", "start", "begin", "total", "run", "test", "clock", "sim", "timestamp", "stamp"}
+_BESIDE_UNITS = {
+    "time",
+    "t",
+    "zeit",
+    "elapsed",
+    "since",
+    "start",
+    "begin",
+    "total",
+    "run",
+    "test",
+    "clock",
+    "timestamp",
+}
 """Words beside a unit in names of times: ``elapsedMillis``, ``seconds_since_start``."""
 
 
-def _unit_words(name: str) -> list[str]:
-    apart = re.sub(r"(?<=[^\W\d_A-Z])(?=[A-Z])", " ", name)
-    return [word.lower() for word in re.findall(r"[^\W\d_]+", apart)]
+def _words(name: str) -> list[str]:
+    """Return the words of a name: ``ObservationTime``, ``t_slow``."""
+    return re.findall(r"[^\W\d_]+", re.sub(r"(?<=[^\W\d_A-Z])(?=[A-Z])", " ", name))
 
 
 def unit_in_time_name(name: str) -> str | None:
     """Return the unit among the words of a time's name: ``TimeMs``, ``Time:ms``, ``millis``."""
-    return next((_UNIT_WORDS[word] for word in reversed(_unit_words(name)) if word in _UNIT_WORDS), None)
+    return next((_UNIT_WORDS[word] for word in map(str.lower, reversed(_words(name))) if word in _UNIT_WORDS), None)
 
 
 def is_unit_of_time(name: str) -> bool:
     """Return whether a name is a unit of time, perhaps beside words of time; ``Min`` is no minute."""
-    words = {*_unit_words(name)}
+    words = {*map(str.lower, _words(name))}
     units = words & _UNIT_WORDS.keys()
     return words != {"min"} and len(units) == 1 and words - units <= _BESIDE_UNITS
 
@@ -72,7 +85,7 @@ def counts_part(name: str) -> bool:
 
 def is_time_name(name: str) -> bool:
     """Return whether a name is one of time, perhaps with an addition: ``t_slow``, ``Time 2``, ``u time``."""
-    words = re.findall(r"[^\W\d_]+", name)
+    words = _words(_DECORATED.sub("", name)) or _words(name)
     if not words or "T" in (words[0], words[-1]):  # a temperature
         return False
     if counts_part(name):

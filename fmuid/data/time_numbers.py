@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import takewhile
 from typing import Any, Literal
 
 import numpy as np
@@ -27,11 +28,22 @@ DATES = ("date", "datum", "datetime", "date/time", "date time", "datum/zeit", "d
 
 
 _CLOCK_PARTS = (
-    ("h", "hh", "hour", "hours", "std", "stunde", "stunden"),
+    ("h", "hh", "hr", "hour", "hours", "std", "stunde", "stunden"),
     ("m", "mm", "min", "minute", "minutes", "minuten"),
     ("s", "ss", "sec", "second", "seconds", "sek", "sekunde", "sekunden"),
 )
 """Headers of three columns with a time of day."""
+
+
+_DATE_PARTS = {
+    "year": ("year", "yyyy", "yy", "yr", "jahr"),
+    "month": ("month", "mon", "mo", "mm", "monat"),
+    "day": ("day", "dd", "dy", "tag"),
+    "hour": _CLOCK_PARTS[0],
+    "minute": (*_CLOCK_PARTS[1], "mn"),
+    "second": _CLOCK_PARTS[2],
+}
+"""Parts of dates in their order, and what columns call them."""
 
 
 def since_1970(values: Any, unit: str | None) -> Literal["s", "ms", "us", "ns"] | None:
@@ -143,15 +155,28 @@ def with_dates_of_days(frame: pd.DataFrame) -> pd.DataFrame:
     return frame.assign(**{names["timestring"]: dates}).drop(columns=names["time_ms"])
 
 
+def _in_a_row(frame: pd.DataFrame) -> dict[str, Any]:
+    """Return columns such as YY MM DD hh mm by their parts; empty without them."""
+    names = [str(name).strip().lower() for name in frame.columns]
+    for first in range(len(names)):
+        pairs = zip(names[first:], _DATE_PARTS.values(), strict=False)
+        count = len([*takewhile(lambda pair: pair[0] in pair[1], pairs)])
+        if count >= 4:
+            return {part: frame.iloc[:, first + k] for k, part in enumerate([*_DATE_PARTS][:count])}
+    return {}
+
+
 def dates_of_parts(frame: pd.DataFrame) -> Any:
     """Return dates or times of day from columns of parts."""
     parts = {str(name).strip().lower().rstrip("s"): column for name, column in frame.items()}
-    parts = {name: parts[name] for name in ("year", "month", "day", "hour", "minute", "second") if name in parts}
+    parts = {name: parts[name] for name in _DATE_PARTS if name in parts}
+    parts = parts if {"year", "month", "day"} <= parts.keys() else _in_a_row(frame) or parts
     numeric = all(pd.api.types.is_numeric_dtype(column.dtype) for column in parts.values())
     others = [name for name in map(str, frame.columns) if is_time_name(name) and not name.lower().startswith("second")]
     if {"year", "month", "day"}.isdisjoint(parts):
         return _time_of_day(frame)
     if others or len(parts) < 4 or not {"year", "month", "day"} <= parts.keys() or not numeric:
         return None
+    parts["year"] = parts["year"] + 2000 * (parts["year"].max() < 100)
     dates = pd.to_datetime(pd.DataFrame(parts), errors="coerce")
     return None if dates.isna().any() else dates

@@ -29,6 +29,9 @@ _ORDERS = (
 )
 _DOTTED = ("%d{0}%m{0}%Y", "%d{0}%m{0}%y")
 """With dots the day is first."""
+_ORDER_SAID = re.compile(r"\b(DD|MM|YYYY|YY)[./-](DD|MM|YYYY|YY)[./-](DD|MM|YYYY|YY)\b")
+_FORMS = {"DD": "%d", "MM": "%m", "YYYY": "%Y", "YY": "%y"}
+_ONE_DAY = pd.Timedelta(days=1)
 _CLOCKS = (" %H:%M:%S.%f", " %H:%M:%S", " %H:%M", " %I:%M:%S.%f %p", " %I:%M:%S %p", " %I:%M %p")
 _DATED = re.compile(r"\d+[./-]\w+(?:[./-]\d+)?.*:")
 _MIDNIGHT = re.compile(r"(?<=[ T])24:00(?=:00|$)")
@@ -47,6 +50,8 @@ _REWRITTEN = (
     (re.compile(r"^([A-Z][a-z]{2})[a-z]* (\d{1,2}),? (\d{4}),? "), r"\2-\1-\3 "),
     (re.compile(r"^(\d{1,2}) ([A-Z][a-z]{2})[a-z]* (\d{4}),? "), r"\1-\2-\3 "),
     (re.compile(r"^(\d{4}-\d{2}-\d{2})[-_ ](\d{2})-(\d{2})-(\d{2})$"), r"\1T\2:\3:\4"),
+    (re.compile(r"^(\d{4})(\d{2})(\d{2})[:_ -](\d{2}):?(\d{2})$"), r"\1-\2-\3T\4:\5:00"),
+    (re.compile(r"^(\d{4})(\d{2})(\d{2})[:_ -](\d{2}):?(\d{2}):?(\d{2}(?:\.\d+)?)$"), r"\1-\2-\3T\4:\5:\6"),
     (re.compile(r"^(\d+)d\s+(?=\d{1,2}:)"), r"\1 days "),
     (re.compile(r"^(\d+)d (\d{1,2})h (\d{1,2})m ([\d.]+)s$"), r"\1 days \2:\3:\4"),
     (re.compile(r"(?<=\d) (\d{1,2})\.(\d{2})\.(\d{2})$"), r" \1:\2:\3"),
@@ -78,8 +83,8 @@ _HALF_DAY = re.compile(r"\d{1,2}:\d{2}(:\d{2}(\.\d+)?)? [ap]m", re.IGNORECASE)
 _HOUR, _DAY = 3600.0, 86_400.0
 
 
-def times_of(series: pd.Series[Any], column: str, source: str) -> tuple[Any, pd.Timestamp | None]:
-    """Return dates and times of day in s; else the series unchanged."""
+def times_of(series: pd.Series[Any], column: str, source: str, form: str = "") -> tuple[Any, pd.Timestamp | None]:
+    """Return dates and times of day in s; else the series unchanged. `form` may say the order of dates."""
     if pd.api.types.is_timedelta64_dtype(series.dtype):
         return series.dt.total_seconds(), None
     if pd.api.types.is_datetime64_any_dtype(series.dtype):
@@ -100,7 +105,7 @@ def times_of(series: pd.Series[Any], column: str, source: str) -> tuple[Any, pd.
         cells = texts.map(_WITH_UNIT.fullmatch)
         if cells.notna().all() and all(cell["unit"] in SECONDS for cell in cells):  # 0.01 sec
             return cells.map(lambda cell: float(cell["number"]) * SECONDS[cell["unit"]]).reindex(series.index), None
-    dates = _dates(texts, column, source)
+    dates = _dates(texts, column, source, form)
     return (series, None) if dates is None else seconds_of(dates.reindex(series.index))
 
 
@@ -144,7 +149,7 @@ def _in_24_hours(texts: pd.Series[Any]) -> pd.Series[Any]:
     return texts
 
 
-def days_of(series: pd.Series[Any], column: str, source: str) -> tuple[Any, pd.Timestamp] | None:
+def days_of(series: pd.Series[Any], column: str, source: str, form: str = "") -> tuple[Any, pd.Timestamp] | None:
     """Return a column of dates without times in s, and the first; None if it is none or of one day."""
     if pd.api.types.is_datetime64_any_dtype(series.dtype):
         days = series
@@ -153,7 +158,7 @@ def days_of(series: pd.Series[Any], column: str, source: str) -> tuple[Any, pd.T
         known = texts.drop_duplicates()
         if len(known) < 2 or len(texts) < len(series) or known.str.contains(":").any():
             return None
-        dates = _dates(_usual(known) + " 00:00", column, source)
+        dates = _dates(_usual(known) + " 00:00", column, source, form)
         if dates is None:
             return None
         days = texts.map(dict(zip(known, dates, strict=True)))
@@ -197,7 +202,7 @@ def check_local_times(dates: pd.Series[Any], clock: tuple[Floats, pd.Timestamp],
         raise InputError(f"{source}: time column {column!r} {said}. Write times in UTC or with offsets (+01:00).")
 
 
-def _dates(texts: pd.Series[Any], column: str, source: str) -> pd.Series[Any] | None:
+def _dates(texts: pd.Series[Any], column: str, source: str, form: str = "") -> pd.Series[Any] | None:
     """Return texts as dates, None if they are none; 24:00 is midnight of the next day."""
     with suppress(ValueError, TypeError):  # the other orders are tried below; pandas converts its own texts twice
         return pd.Series(pd.to_datetime(texts.to_numpy(dtype=object), format="ISO8601"), texts.index)
@@ -216,13 +221,17 @@ def _dates(texts: pd.Series[Any], column: str, source: str) -> pd.Series[Any] | 
         return None
     points = texts.str.replace(",", ".")
     dotted = re.match(r"\d{1,2}\.\d{1,2}\.", str(texts.iloc[0]))
-    orders = _DOTTED if dotted else _ORDERS
+    order = _ORDER_SAID.search(form.upper())
+    orders = ("{0}".join(_FORMS[part] for part in order.groups()),) if order else _DOTTED if dotted else _ORDERS
     forms = [order.format(mark) + clock for order, mark, clock in itertools.product(orders, "./-", _CLOCKS)]
     fitting = [form for form in forms if not pd.isna(pd.to_datetime(points.iloc[0], format=form, errors="coerce"))]
     every = [pd.to_datetime(points, format=form, errors="coerce") for form in fitting]
     readings = [read + late for read in every if not read.isna().any()]
     readings = [read for read in readings if not _leaps(read)] or readings
-    if any(not (read == readings[0]).all() for read in readings[1:]):
+    longest = {k: read.diff().abs().max() for k, read in enumerate(readings)}
+    if min(longest.values(), default=pd.NaT) <= _ONE_DAY:  # day after day, not month after month
+        readings = [read for k, read in enumerate(readings) if longest[k] < 20 * _ONE_DAY]
+    if any(not (read - read.iloc[0] == readings[0] - readings[0].iloc[0]).all() for read in readings[1:]):
         said = f"day and month of {texts.iloc[0]!r} are ambiguous"
         raise InputError(f"{source}: column {column!r}: {said}. Write dates as 2026-02-28 12:00:00.")
     return readings[0] if readings else None

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 from fmuid.errors import InputError
-from fmuid.units import BaseUnit, parse_unit
+from fmuid.units import SHORT_FORMS, BaseUnit, parse_unit
 
 DESCRIPTION_FILE = "modelDescription.xml"
 KINDS = ("co-simulation", "model-exchange")
@@ -149,7 +149,8 @@ class Description:
             factor, offset = own.display_units[unit]
             return 1.0 / factor, -offset / factor
         meant, expected = parse_unit(unit), parse_unit(variable.unit or "")
-        for pair in ((self.units.get(unit), own), (meant, own), (meant, expected)):
+        short = parse_unit(SHORT_FORMS[unit]) if unit in SHORT_FORMS else None
+        for pair in ((self.units.get(unit), own), (meant, own), (meant, expected), (short, own), (short, expected)):
             conversion = unit_conversion(*pair)
             if conversion is not None and (variable.unit or conversion == (1.0, 0.0)):
                 return conversion

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 from fmuid import Experiment, InputError, Study, datasets, read_data
+from fmuid.units import parse_unit, unit_in_name
 from tests.support.bench_texts import COMTRADE
 
 HOUR = 3600.0
@@ -297,3 +298,79 @@ def test_blocks_and_keys_that_are_refused(tmp_path: Path, text: str, said: str) 
     (tmp_path / "a.txt").write_text(text)
     with pytest.raises(InputError, match=said):
         read_data(tmp_path / "a.txt")
+
+
+@pytest.mark.parametrize(
+    ("text", "steps"),
+    [
+        ("DATE (MM/DD/YYYY),T,u\n04/03/2026,23:59,1\n04/04/2026,00:00,2\n", [60.0]),
+        ("Datum;u\n03.04.2026 23:59;1\n04.04.2026 00:00;2\n", [60.0]),
+        ("stamp,u\n01/02/2026 10:00,1\n01/02/2026 10:01,2\n", [60.0]),  # of either order
+        ("stamp,u\n04/03/2026 23:59,1\n04/04/2026 00:00,2\n05/04/2026 00:00,3\n", None),
+        ("time,u\n20260228:2350,1\n20260301:0010,2\n", [1200.0]),
+        ("YY MM DD hh mm u\n26 2 28 23 50 1\n26 3 1 0 10 2\n", [1200.0]),
+        (
+            "A,ObsTime(UTC),ObsTime(LST)\n1,2026-02-28 10:00,2026-02-28 5:00\n2,2026-02-28 10:05,2026-02-28 5:05\n",
+            [300.0],
+        ),
+        ("elapsedMillis,u\n250,1\n300,2\n350,3\n", [0.05, 0.05]),
+        (
+            "Elapsed time,stamp,u\n0,2026-02-28 10:00,1\n90,2026-02-28 11:30,2\n180,2026-02-28 13:00,3\n",
+            [5400.0, 5400.0],
+        ),
+    ],
+)
+def test_stamps_that_can_be_known(tmp_path: Path, text: str, steps: list[float] | None) -> None:
+    """Orders of dates count only where they change the steps; units stand in names, or follow from dates beside."""
+    (tmp_path / "a.csv").write_text(text)
+    if steps is None:
+        with pytest.raises(InputError, match=r"day and month of .* are ambiguous"):
+            read_data(tmp_path / "a.csv")
+        return
+    np.testing.assert_allclose(np.diff(read_data(tmp_path / "a.csv")["time"]), steps)
+
+
+@pytest.mark.parametrize(
+    ("text", "units"),
+    [
+        ("# w [rpm]: speed\n# u: supply (mV)\ntime,u,w\n0,1,2\n1,3,4\n", {"w": "rpm", "u": "mV"}),
+        ("time,T2m\n0,1\n1,3\n\nT2m: air temperature (degree Celsius)\n", {"T2m": "degree Celsius"}),
+        ("time,T (C),u\n0,1,2\n1,3,4\n", {"T": "C"}),
+        ("Elapsed Time    Motor u\n    (s)     (V)\n0\t1\n1\t2\n2\t3\n", {"Motor u": "V"}),
+        ("time,u [V (Voltage)]\n0,1\n1,3\n", {"u": "V"}),
+        ("Units,V,,Units,mA\nTIME,u,,TIME,i\n0,1,,0,2\n1,3,,1,4\n2,3,,2,4\n", {"u": "V", "i": "mA"}),
+    ],
+)
+def test_units_in_legends_blocks_and_remarks(tmp_path: Path, text: str, units: dict[str, str]) -> None:
+    (tmp_path / "a.txt").write_text(text)
+    assert read_data(tmp_path / "a.txt").attrs["units"] == units
+
+
+def test_rows_of_several_devices(tmp_path: Path) -> None:
+    rows = "".join(f"{k // 2},{k},{'AB'[k % 2]}\n" for k in range(60))
+    (tmp_path / "a.csv").write_text("time,u,device\n" + rows)
+    with pytest.raises(InputError, match=r"'device' has several values at one time\. Keep the rows of 'A'"):
+        read_data(tmp_path / "a.csv")
+
+
+def test_objects_of_json_in_any_text(tmp_path: Path) -> None:
+    (tmp_path / "LOG.TXT").write_text("".join(f'{{"t": {k}, "u": {2 * k}}}\n' for k in range(5)))
+    assert read_data(tmp_path / "LOG.TXT")["u"].tolist() == [0, 2, 4, 6, 8]
+
+
+@pytest.mark.parametrize("form", ["SLIST", "TSPAIR"])
+def test_series_of_iris(tmp_path: Path, form: str) -> None:
+    rows = " 1 2\n 3\n" if form == "SLIST" else "".join(f"2026-11-28T10:00:00.{25 * k:03} {k + 1}\n" for k in range(3))
+    (tmp_path / "a.txt").write_text(
+        f"TIMESERIES X, 3 samples, 40 sps, 2026-11-28T10:00:00, {form}, FLOAT, RAD/S\n{rows}"
+    )
+    frame = read_data(tmp_path / "a.txt")
+    np.testing.assert_allclose(frame["time"], [0.0, 0.025, 0.05])
+    assert frame["X"].tolist() == [1, 2, 3] and frame.attrs["units"] == {"X": "rad/s"}
+
+
+def test_units_at_the_end_of_names() -> None:
+    names = ("mAmps", "Temp. Deg C", "Cell_Temperature_C", "p mBar", "Motor.rpm", "R_C", "x bar", "R_s")
+    said = ["mAmps", "Deg C", "degC", "mBar", "rpm", None, None, None]
+    assert [unit_in_name(each) for each in names] == said
+    assert parse_unit("kN-m") == parse_unit("kN.m")

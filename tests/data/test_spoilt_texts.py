@@ -18,7 +18,7 @@ LOGGERS = ("HOBO", "EasyLog", "Grafana", "Digatron", "VCDS", "Tinytag")
 TEXTS = instrument_texts.texts(FRAME, DATES)
 TEXTS |= {name: each for name, each in historian_texts.texts(FRAME, DATES).items() if name in LOGGERS}
 TEXTS |= simulator_texts.texts(FRAME, DATES)
-WITHOUT_TIMES = {"LabVIEW without times", "Yokogawa", "interval above", "rate in cells above"}
+WITHOUT_TIMES = {"LabVIEW without times", "Yokogawa"}
 """Texts in which nothing shows a row that is gone."""
 FACTORS = {"rpm": np.pi / 30, "mA": 1e-3}
 LONG = {

@@ -93,7 +93,7 @@ HOSTS = "time,host,name,value\n" + "".join(f"{k},{host},u,{k}\n" for k in range(
         (",u,\n0,1,2\n", "columns 1, 3 have no name"),
         ('time,u\n"0,1",1.5\n', "'time': '0,1' in row 1 .*decimal points"),
         ("time,u\n2026-01-01T00:00,1\nsoon,2\n", "'time': 'soon' in row 2|2026-01-01T00:00' in row 1"),
-        ("time,u\n01/02/2026 10:00,1\n01/02/2026 10:01,2\n", "day and month of .* are ambiguous"),
+        ("time,u\n01/02/2026 10:00,1\n02/03/2026 10:01,2\n", "day and month of .* are ambiguous"),
         (b"time,gr\x81\xfce\n0,1\n", "not text in UTF-8, UTF-16 or cp1252"),
         (b"PK\x03\x04\x00\x00\xff\xfe\x00", "is a spreadsheet or packed file"),
         ("  0.0000E+0  1.09E+2\n  4.0000E-2  1.13E+2\n  8.0000E-2  1.16E+2\n", "no header"),
@@ -184,13 +184,13 @@ def test_days_of_matlab_are_asked_for(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("step", "unit"), [(1.0, "d"), (10.0, "d"), (60.0, "min"), (3600.0, "h")])
-def test_unsaid_units_of_loggers_are_asked_for(tmp_path: Path, step: float, unit: str) -> None:
+def test_unsaid_units_of_loggers_are_those_of_dates_or_asked_for(tmp_path: Path, step: float, unit: str) -> None:
     seconds = step * np.arange(5.0)
     dates = pd.to_datetime("2026-01-31") + pd.to_timedelta(seconds, unit="s")
     table = pd.DataFrame({"Time": seconds / SECONDS[unit], "u": 1.0, "DPT Time": dates.strftime("%Y-%m-%d %H:%M:%S")})
     for columns in [[*table], ["Time", "u"]][: 1 + (unit == "d")]:
         path = written(tmp_path, table[columns].to_csv(index=False))
-        if unit == "d" and "DPT Time" in columns:  # the dates are the time
+        if "DPT Time" in columns:
             np.testing.assert_allclose(read_data(path)["time"], seconds, rtol=1e-9)
             continue
         with pytest.raises(InputError, match=f'Set time_unit = "{unit}"'):

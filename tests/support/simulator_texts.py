@@ -90,8 +90,6 @@ DAY = "{d:%d.%m.%Y %H:%M:%S.%f}"
 TABLES = {
     "GW Instek": ("a.csv", INSTEK, "{t:.6E},{u},{t:.6E},{i},{t:.6E},{w},"),
     "Hantek": ("a.csv", "#CHANNEL,u,i,w\n#CLOCK=10mS,,,\n#SIZE=120,,,\n#UNITS=V,A,rad/s,\n", "{u},{i},{w},"),
-    "interval above": ("a.txt", "# rig 4\n# Sampling interval [ms] = 10\nu i w\n", "{u} {i} {w}"),
-    "rate in cells above": ("a.csv", "Abtastrate:;0,1;kHz\n\nu [V];i [A];w [rad/s]\n", "{U};{I};{W}"),
     "Owon": ("a.csv", OWON, "{k},{u},{ma},{w}"),
     "LabChart": ("a.txt", LABCHART, "{t}\t{u}\t{i}\t{w}"),
     "AcqKnowledge": ("a.txt", ACQKNOWLEDGE, "{u}\t{i}\t{w}\t"),

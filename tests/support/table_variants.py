@@ -114,6 +114,7 @@ def exponents(separator: str, mark: str) -> str:
     return separator.join(map(str, FRAME)) + "\n" + "\n".join(rows)
 
 
+UNTIMED = FRAME[["u", "i", "w"]]
 COLUMNS: dict[str, Any] = {str(name): values.to_numpy() for name, values in FRAME.items()}
 MORE = FRAME.assign(x=1.0, y=2.0)[["time", "x", "u", "i", "w", "y"]]
 NUMBERED = pd.concat([pd.Series([f'"{k + 1}"' for k in range(ROWS)], name="n"), FRAME], axis="columns")
@@ -202,6 +203,8 @@ TEXTS: dict[str, tuple[str, str | bytes]] = {
     "thousands of Germany": ("a.csv", grouped(";", ".", ",")),
     "thousands of France": ("a.csv", grouped(";", "\u202f", ",")),
     "thousands of Switzerland": ("a.csv", grouped(";", "'", ".")),
+    "interval above": ("a.txt", text("u i w", " ", ".", UNTIMED, "# rig 4\n# Sampling interval [ms] = 10\n")),
+    "rate in cells above": ("a.csv", text("u [V];i [A];w", ";", ",", UNTIMED, "Abtastrate:;0,1;kHz\n\n")),
     "CSV of OpenModelica": ("a.csv", text('"time","u","i","w","der(w)"', frame=FRAME.assign(d=0.0))),
     # --- with missing samples: the estimates are those of empty cells ---
     "missing: empty": ("a.csv", marked("")),

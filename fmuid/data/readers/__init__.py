@@ -49,6 +49,8 @@ def format_of(path: Path) -> str:
         start = file.read(1 << 12)
     if suffix == ".xls" and is_text(start):
         return ".txt"
+    if suffix not in BINARY and start.removeprefix(b"\xef\xbb\xbf").lstrip().startswith((b'{"', b'[{"')):
+        return ".json"
     return (
         suffix if suffix in BINARY else next((own for begin, own in _BEGINS.items() if start.startswith(begin)), suffix)
     )

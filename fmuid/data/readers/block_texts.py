@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from fmuid.data.cells import is_number
-from fmuid.data.headers import split_header
+from fmuid.data.headers import is_unit, split_header
 from fmuid.data.readers.row_checks import check_count
 from fmuid.data.said_values import interval_of
 from fmuid.data.time_names import is_time_name
@@ -157,6 +157,20 @@ def _hantek_dso(lines: Sequence[str], source: str) -> Iterator[str]:
     yield from rows
 
 
+def _iris(lines: Sequence[str], source: str) -> Iterator[str]:
+    """Yield a time series of IRIS: samples row by row, or pairs of time and sample."""
+    if sum(line.startswith("TIMESERIES") for line in lines) > 1:
+        raise InputError(f"{source}: several time series. Keep one in a file.")
+    name, count, rate, _, form, _, unit = (cell.strip() for cell in lines[0].removeprefix("TIMESERIES").split(","))
+    cells = [line.split() for line in lines[1:] if line.strip()]
+    step = 1.0 / float(rate.split()[0])
+    samples = (cell for row in cells for cell in row)
+    rows = cells if form == "TSPAIR" else [[repr(step * k), cell] for k, cell in enumerate(samples)]
+    check_count(len(rows), count.split()[0], source)
+    yield f"time,{name} [{unit if is_unit(unit) else unit.lower()}]"
+    yield from map(",".join, rows)
+
+
 def _octave(_lines: Sequence[str], source: str) -> Iterator[str]:
     raise InputError(f"{source}: a matrix of Octave without names. Put one line of names in place of the comments.")
 
@@ -187,6 +201,7 @@ BLOCKS: tuple[tuple[re.Pattern[str], Callable[[Sequence[str], str], Iterator[str
     (re.compile(r"(?:\s*%[^\n]*\n|\s*\n)*\s*@relation\b", re.IGNORECASE), _weka),
     (re.compile(r"(?:#[^\n]*\n)*# type: matrix"), _octave),
     (re.compile(r"#\s*CHANNEL[,:](?:[^\n]*\n){1,4}?#\s*CLOCK="), _hantek),
+    (re.compile(r"TIMESERIES [^\n]*, (?:TSPAIR|SLIST), "), _iris),
     (re.compile(r"#timebase=[^\n]*\n,?#voltbase=[^\n]*\n#size="), _hantek_dso),
     (re.compile(rf"{_SIGNAL}{_SIGNAL}"), _transposed),
 )

@@ -22,6 +22,7 @@ from fmuid.data.headers import RawTable, check_once, is_unit, named, with_column
 from fmuid.data.readers.cell_units import without_units
 from fmuid.data.readers.encodings import decoded
 from fmuid.data.readers.instruments import head_of, rewriter_of
+from fmuid.data.readers.legends import units_in_legend
 from fmuid.data.readers.sidecars import rewriter_beside
 from fmuid.data.readers.text_layout import TextLayout, count_of_cells, layout_of
 from fmuid.data.readers.text_rows import SPACES, is_text_row, rows_of
@@ -76,13 +77,19 @@ def read_text(path: Path, source: str) -> RawTable:
             shown = codecs.getincrementaldecoder("utf-8-sig")().decode(first, final=len(first) < _LOOKED_AT)
             layout = layout_of(source, shown if short else shown[: shown.rfind("\n") + 1] or shown)
             names, said = named(layout.head.names, layout.head.units)
+            blank = [f"\0 {k}" for k, name in enumerate(names) if not name]
+            names = [name or f"\0 {k}" for k, name in enumerate(names)] if blank[1:] else names
             check_once(source, names)
             frame = _samples(_without_end(again, layout), source, layout, names)
+            frame = frame.drop(columns=[name for name in blank if name in frame and frame[name].isna().all()])
+            check_once(source, ["" if name in blank else str(name) for name in frame.columns])
             if clock is not None and pd.api.types.is_numeric_dtype(frame[names[0]].dtype):
                 frame[names[0]] = clock[0] + clock[1] * frame[names[0]]
             for name in frame.select_dtypes(["object", "str"]).columns:
                 frame[name], unit = without_units(frame[name], layout.decimal)
                 said |= {} if unit is None else {name: unit}
+            bare = [name for name in names if name not in said]
+            said |= units_in_legend([*shown.splitlines()[: layout.line], *_last_lines(again)], bare)
             if layout.head.step is not None:  # it may stand for an empty column of times
                 frame = frame.loc[:, frame.notna().any()]
             return RawTable(frame, said, step=layout.head.step, rows=layout.head.rows)
@@ -163,6 +170,13 @@ def _without_end(opened: Callable[[], IO[bytes]], layout: TextLayout) -> Callabl
         return opened
     with opened() as file:
         return partial(io.BytesIO, file.read(end))
+
+
+def _last_lines(opened: Callable[[], IO[bytes]]) -> list[str]:
+    """Return the last lines of a text, the first of them perhaps cut."""
+    with opened() as file:
+        file.seek(max(file.seek(0, io.SEEK_END) - _END, 0))
+        return file.read().decode("utf-8", "replace").splitlines()
 
 
 def _says_nothing(line: str, layout: TextLayout) -> bool:

@@ -7,7 +7,7 @@ import io
 import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 
 from fmuid.data.cells import is_missing, is_number, may_be_number
@@ -22,6 +22,7 @@ from fmuid.data.readers.text_rows import (
     rows_of,
     with_listed_names,
     with_row_numbers,
+    with_spaced_names,
     without_blank_ends,
     without_cell_units,
     without_rules,
@@ -29,6 +30,7 @@ from fmuid.data.readers.text_rows import (
 from fmuid.errors import InputError
 
 _SEPARATORS = (",", ";", "\t", "|", SPACES)
+_DATA = re.compile(r"^\[data\][,;\s]*?\n", re.IGNORECASE | re.MULTILINE)
 _DATE = re.compile(r"\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}:\d{2}")
 """Begin of a date of ISO 8601 with its time."""
 _REPAIRS: tuple[Callable[[Rows, str], Rows], ...] = (
@@ -54,7 +56,16 @@ class TextLayout:
 
 
 def layout_of(source: str, text: str) -> TextLayout:
-    """Return the layout with the most numeric columns."""
+    """Return the layout with the most numeric columns; a line ``[Data]`` ends what is no table."""
+    best, above = _layout(source, text), text[: max((each.end() for each in _DATA.finditer(text)), default=0)]
+    if best.line > above.count("\n"):
+        return best
+    below = _layout(source, text.removeprefix(above))
+    return replace(below, line=below.line + above.count("\n"))
+
+
+def _layout(source: str, text: str) -> TextLayout:
+    """Return the layout of the first repair that gives several numeric columns."""
     best, most = None, 0
     for repair in _REPAIRS:
         if most > 1:
@@ -74,7 +85,8 @@ def _best_layout(source: str, text: str, repair: Callable[[Rows, str], Rows]) ->
             read = without_rules(list(islice(rows_of(io.StringIO(text), separator), 200)))
         except csv.Error:  # no table with this separator
             continue
-        read = repair([(line, plain_row(row, separator)) for line, row in read], text)
+        read = [(line, plain_row(row, separator)) for line, row in read]
+        read = repair(with_spaced_names(read, text) if separator == SPACES else read, text)
         rows, blank = without_blank_ends([row for _, row in read])
         for decimal in (".", ","):
             head = find_head(rows, decimal)
@@ -126,7 +138,7 @@ def _as_it_is(source: str, text: str) -> TextLayout:
     if len(rows) > 1 and len(rows[1]) != len(header):
         said = f"{len(header)} names in the header, {count_of_cells(len(rows[1]))} in row 1"
         line = len(rows) > 2 and len(rows[2]) == len(header)
-        remedy = "Remove this row" if line else 'Quote names with commas ("x[1,2]")'
+        remedy = "Remove this row" if line else 'Quote names with commas ("x[1,2]"), or name all columns'
         raise InputError(f"{source}: {said}. {remedy}.")
     return TextLayout(",", ".", TableHeader(header, (), 1), read[0][0], len(header))
 

@@ -70,6 +70,22 @@ def _without_key(row: list[str]) -> list[str]:
 Rows = list[tuple[int, list[str]]]
 
 
+def with_spaced_names(read: Rows, text: str) -> Rows:
+    """Return rows of blanks whose names have single ones and two or tabs between them: ``Elapsed Time   u``."""
+    lines = text.splitlines()
+    for k in range(1, len(read) - 1):
+        count = len(read[k][1])
+        if count < 2 or any(len(row) != count or not all(map(is_number, row)) for _, row in read[k : k + 2]):
+            continue
+        for place in range(max(k - 2, 0), k):
+            line, row = read[place]
+            names = re.split(r"\s{2,}|\t", lines[line - 1].strip())
+            if len(row) != count == len(names) and not any(map(is_number, names)):
+                read = [*read[:place], (line, names), *read[place + 1 :]]
+        break
+    return read
+
+
 def without_rules(read: Rows) -> Rows:
     """Return rows without lines such as ``----+----`` between header and samples."""
     found: Rows = []
