@@ -31,10 +31,15 @@ _MEANT = {
     "min^(-1), min**-1",
     "kiloturn/min": "krpm, x1000 rpm, rpm x1000, x1000 1/min, 1/min x1000",
     "turn/s": "rps, rev/s, revs/s, r/s, U/s, tr/s, turn/s, turns/s",
-    "V": "Volt, Volts, volt, volts, VDC, Vdc",
-    "A": "Amp, Amps, amp, amps, Ampere, Amperes, ampere, amperes, ADC, Adc",
-    "mV": "mVDC, mVdc, mVolt, mVolts",
-    "mA": "mADC, mAdc, mAmp, mAmps",
+    "V": "Volt, Volts, volt, volts, VDC, Vdc, В",
+    "A": "Amp, Amps, amp, amps, Ampere, Amperes, ampere, amperes, ADC, Adc, А",
+    "mV": "mVDC, mVdc, mVolt, mVolts, milliVolts, millivolts, мВ",
+    "mA": "mADC, mAdc, mAmp, mAmps, milliAmps, milliamps, мА",
+    "kV": "кВ",
+    "kW": "кВт",
+    "Hz": "Гц",
+    "l/min": "LPM, lpm, Lpm",
+    "gal/min": "GPM, gpm",
     "mbar": "mBar, MBAR",
     "ohm": "Ohm, Ohms, ohms, Ω, Ω",
     "deg": "degrees, Degrees, degree, Degree, deg., °, º",
@@ -44,17 +49,18 @@ _MEANT = {
     "rad/s": "rad/sec, rads/s, rad s-1, rad s^-1, rad·s⁻¹, rad*s^-1, rad.s-1",
     "percent": "%, percent, Percent, pct, Prozent",
     "N": "Newton, Newtons",
-    "W": "Watt, Watts",
+    "W": "Watt, Watts, watts, Вт",
     "V*A": "var",
     "kV*A": "kvar",
-    "N*m": "Nm, Nm., NM, N-m, N m, N·m, Newton-meter, Newton meters",
+    "N*m": "Nm, Nm., NM, N-m, N m, N·m, Newton-meter, Newton meters, NewtonMeter, Нм, Н·м",
     "N*cm": "Ncm",
     "N*mm": "Nmm",
     "daN*m": "daNm",
     "mN*m": "mNm",
     "kN*m": "kNm",
     "MN*m": "MNm",
-    "ft*lbf": "ft-lb, ft.lb, lb-ft, lbf-ft, lbf.ft",
+    "ft*lbf": "ft-lb, ft-lbs, ft.lb, lb-ft, lbs-ft, lbf-ft, lbf.ft",
+    "in*lbf": "in-lb, in-lbs, in.lb, lb-in, lbf-in",
     "A*s": "As",
     "mA*s": "mAs",
     "V*s": "Vs",
@@ -62,7 +68,7 @@ _MEANT = {
     "uV*s": "uVs",
     "W*s": "Ws",
     "degC": "°C, ℃, ºC, oC, deg C, deg. C, Deg C, Deg. C, DEG C, deg_C, degrees C, degree C, Celsius, celsius, "
-    "degrees Celsius, degree Celsius, Grad Celsius, Grad C, grad C, \ufffdC, Â°C",
+    "degrees Celsius, degree Celsius, °С, Grad Celsius, Grad C, grad C, \ufffdC, Â°C",
     "degF": "°F, deg F, deg_F, Fahrenheit",
     "K": "Kelvin, kelvin, °K",
     "": "1, -, p.u., p.u, pu, PU, per unit",
@@ -112,12 +118,13 @@ _AFTER_WORDS = (
     "km/h",
 )
 """Units that names have after a space, ``Temp. Deg C``."""
-SHORT_FORMS = {"C": "degC", "F": "degF"}
-"""Units of temperatures that are those of charge and capacity elsewhere."""
+SHORT_FORMS = {"C": "degC", "F": "degF", "c": "degC", "f": "degF", "mv": "mV", "ma": "mA"}
+"""Units whose letters mean others elsewhere: those of charge and capacity, for example."""
 _IN_NAMES = re.compile(
     rf"(?:.+[_ .:\-{{<])?(?P<unit>{'|'.join(_CLEAR.split())})[}}>]?"
     rf"|.*[^\W\d_]{{3,}}\.? (?P<last>{'|'.join(map(re.escape, _AFTER_WORDS))})"
-    r"|.*[Tt](?:emp|EMP).*[_ .](?P<short>[CF])",
+    r"|.*[Tt](?:emp|EMP).*[_ .](?P<short>[CFcf])|.*[Tt]emp(?:erature)?(?P<camel>[CF])"
+    r"|.*[a-z](?P<turns>RPM|Rpm)|.*(?:curr|amp).*_(?P<milli>ma)|.+_(?P<volts>mv)",
 )
 """Column names that end in a unit or are one; ``R_s``, ``i_d`` and ``p_bar`` do not."""
 _CAPITALS = {each.upper(): each for each in _CLEAR.split()}

@@ -1,5 +1,6 @@
 from . import signals as signals
 from .clock import time_name as time_name
+from .column_lookup import column_of as column_of
 from .data_file import BEGIN as BEGIN
 from .data_file import LEFT_OUT as LEFT_OUT
 from .data_file import TEXT as TEXT
@@ -19,7 +20,6 @@ from .filters import evenly as evenly
 from .filters import extremes as extremes
 from .filters import missing_rows as missing_rows
 from .filters import usual_step as usual_step
-from .headers import column_of as column_of
 from .interpolation import INTERPOLATIONS as INTERPOLATIONS
 from .losses import LOSSES as LOSSES
 from .losses import Loss as Loss

@@ -12,7 +12,8 @@ import pandas as pd
 
 from fmuid.array_types import Floats
 from fmuid.data.coarse_clock import regular_times
-from fmuid.data.headers import RawTable, column_of, missing_column
+from fmuid.data.column_lookup import column_of, missing_column
+from fmuid.data.headers import RawTable
 from fmuid.data.several_clocks import assigned, joined, resolution, same_clock
 from fmuid.data.time_names import (
     TIME_NAMES,

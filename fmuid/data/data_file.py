@@ -196,6 +196,7 @@ def _without_marks(column: pd.Series[Any], marks: Sequence[str | float]) -> pd.S
     return column
 
 
+@np.errstate(over="ignore")  # beyond double precision
 def _largest(column: pd.Series[Any]) -> float:
     """Return the largest absolute value of a column of real numbers; -inf if there is none."""
     values = column.to_numpy(dtype=np.float64, na_value=np.nan)
@@ -259,7 +260,7 @@ def numeric_column(frame: pd.DataFrame, column: str, source: str) -> Floats:
     remedy = "Write decimal points." if comma else _remedy_of_texts(series)
     if column == "time" and not any(map(str.isdigit, cell)) and row > 1:
         remedy = "Remove rows without a time."
-    if is_time_name(column) and ":" in cell:
+    if is_time_name(column) and not comma and any(map(str.isdigit, cell)):
         remedy = "Write dates as 2026-02-28 12:00:00, times as 12:00:00."
     raise InputError(f"{source}: column {column!r}: {cell!r} in row {row} is no real number. {remedy}")
 

@@ -14,10 +14,10 @@ import numpy.typing as npt
 import pandas as pd
 
 from fmuid.array_types import Flags, Floats
+from fmuid.data.column_lookup import column_of, missing_column
 from fmuid.data.data_file import DECIDED, LEFT_OUT, SOURCE, UNITS, numeric_column
 from fmuid.data.far_values import check_values
 from fmuid.data.filters import filling_keys, missing_rows, usual_step
-from fmuid.data.headers import column_of, missing_column
 from fmuid.data.interpolation import HELD, as_held, interpolation_words, slopes
 from fmuid.data.observation import Observation
 from fmuid.data.observed_table import model_roles, observed_table

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import partial
@@ -14,14 +14,11 @@ from fmuid.data.cells import MISSING, Cell, is_missing, is_number
 from fmuid.data.said_values import rows_said, step_said
 from fmuid.data.time_names import TIME_NAMES, counts_part, is_time_name, plain_name
 from fmuid.errors import InputError
-from fmuid.formatting import nearest
-from fmuid.units import SECONDS, parse_unit, time_unit
+from fmuid.units import SECONDS, parse_unit, time_unit, unit_in_name
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_LISTED_NAMES = 12
-"""Names listed in a message."""
 _WITH_UNIT = re.compile(
     r"(?P<name>.*?\S)(?P<gap>\s*)(\((?P<round>[^()]*(\([^()]*\)[^()]*)*)\)|\[(?P<square>[^\[\]]*)\])"
 )
@@ -29,15 +26,17 @@ _AFTER_WORD = re.compile(r"(?P<name>.*\S)(?:,? in | ?/ |, )(?P<unit>\S.*)")
 _AFTER_SLASH = re.compile(r"(?P<name>[^/]*[^/\s])/(?P<unit>[^/\s]+|rad/s|1/min)")
 _SLASH_UNITS = {
     "s", "sec", "Sec", "ms", "µs", "us", "min", "h", "Hz", "kHz", "V", "mV", "kV", "A", "mA", "kA", "Ohm", "ohm", "Ω",
-    "mOhm", "W", "kW", "deg", "°", "rad", "rpm", "rad/s", "1/min", "N", "Nm", "N.m", "°C", "\ufffdC", "degC",
+    "mOhm", "W", "kW", "deg", "°", "rad", "rpm", "rad/s", "1/min", "N", "Nm", "N.m", "°C", "\ufffdC", "degC", "%", "K",
 }  # fmt: skip
 """Units after a slash without spaces, as in DIN 1313; other slashes are ratios."""
-_RATES, _RATIOS = re.compile(r"([mk]?m|rad|deg|°|U|k?g|[lL]|1|rev)/(s|min|h)"), re.compile(r"m?[VA]|[WN]")
+_RATES, _RATIOS = re.compile(r"([mk]?m|rad|deg|°|U|k?g|[lL]|1|rev|n|r)/(s|min|h)"), re.compile(r"m?[VA]|[WN]")
 """Headers, and names before a slash, that are units."""
 _ALTERED = re.compile(
     r"[kmµun]?(V|A|W|Hz|Nm|N|Pa|bar)([_ ]?(eff|rms|RMS|pk|pp|ac|dc|AC|DC|avg|peak|mean|p-p|x?\d+))", re.ASCII
 )
 """Units with an addition that changes their meaning."""
+_FACTOR = re.compile(r"(?:[*×/]|\bx)\s*10+\b")
+"""Factor in a name, ``P*10``: its column is refused where it is used."""
 _SCALED = re.compile(r"(\D+?)\s*[x×*]\s*[\d.,]+|[x×*]?\s*[\d.,]+\s*[x×*]?\s*(\D+)")
 """Units with a factor: ``V x 0.1``, ``10 A``."""
 _EITHER = ("MV", "MA", "MOHM")
@@ -126,7 +125,7 @@ def split_header(header: str) -> tuple[str, str | None]:
         if words is not None and (is_unit(words["unit"]) or words["unit"].startswith(("1/", "min"))):
             return words["name"], words["unit"]
         words = _AFTER_SLASH.fullmatch(header)
-        if words is None or words["unit"] not in _SLASH_UNITS or _RATES.fullmatch(header):
+        if words is None or not _after_slash(words["name"], words["unit"]) or _RATES.fullmatch(header):
             return header, None
         quantity, _, part = words["name"].rpartition(" ")
         if quantity and words["unit"] in SECONDS and not (is_time_name(part) or counts_part(words["name"])):
@@ -140,6 +139,11 @@ def split_header(header: str) -> tuple[str, str | None]:
         return inner
     spaced = found["square"] is not None and bool(found["gap"]) and len(unit) <= _UNIT_LENGTH
     return (found["name"], unit) if is_unit(unit) or (unit and (spaced or _like_unit(unit))) else (header, None)
+
+
+def _after_slash(name: str, unit: str) -> bool:
+    """Return whether a text after a slash is a unit, and no part of a ratio."""
+    return unit in _SLASH_UNITS or (len(unit) > 1 and is_unit(unit) and not is_unit(name))
 
 
 def without_remark(unit: str) -> str:
@@ -188,24 +192,31 @@ def named(headers: Sequence[str], units: Sequence[str] = ()) -> tuple[list[str],
     bare = (cell.strip().strip("[]()").strip() if cell.strip()[:1] in ("[", "(") else cell.strip() for cell in units)
     below = [*map(without_remark, bare)] or [""] * len(names)
     said = {name: below[k] or split[k][1] for k, name in enumerate(names)}
+    factors = {name: found[0] for name in names if (found := _FACTOR.search(name))}
+    said |= {name: f"{factor} {said[name] or unit_in_name(name) or ''}" for name, factor in factors.items()}
     if not any(map(str.islower, "".join((*headers, *units)))):
         said = {name: f"{unit} or m{unit[1:]}" if unit in _EITHER else unit for name, unit in said.items()}
     return names, {name: unit for name, unit in said.items() if unit}
 
 
 def _split_alike(headers: Sequence[str]) -> list[tuple[str, str | None]]:
-    """Return names and units: where one header is ``w[rpm]``, ``q[ccps]`` has an unknown unit."""
+    """Return names and units: where other headers are ``w[rpm]``, ``q[ccps]`` has an unknown unit."""
     split = [split_header(header) for header in headers]
     found = [_WITH_UNIT.fullmatch(" ".join(header.split())) for header in headers]
-    alike = [each if each and each["square"] and not each["gap"] else None for each in found]
-    if not any(each and unit for each, (_, unit) in zip(alike, split, strict=True)):
-        return split
-    return [
-        (each["name"], each["square"].strip())
-        if unit is None and each and not _INDEX.fullmatch(each["square"])
-        else (name, unit)
-        for each, (name, unit) in zip(alike, split, strict=True)
-    ]
+    for style, share in (("square", 0.0), ("round", 0.5)):
+        alike = [each for each in found if each and each[style] and not (style == "square" and each["gap"])]
+        known = sum(unit is not None for each, (_, unit) in zip(found, split, strict=True) if each in alike)
+        split = [
+            (each["name"], each[style].strip())
+            if unit is None and each in alike and known >= max(share * len(alike), 1) and _may_be_unit(each[style])
+            else (name, unit)
+            for each, (name, unit) in zip(found, split, strict=True)
+        ]
+    return split
+
+
+def _may_be_unit(text: str) -> bool:
+    return len(text) <= _UNIT_LENGTH and not _INDEX.fullmatch(text) and not is_time_name(text)
 
 
 def _numbered(names: list[str]) -> list[str]:
@@ -273,6 +284,8 @@ def find_head(rows: Sequence[Sequence[Cell]], decimal: str = ".") -> TableHeader
         for k in range(header - 1, above, -1):
             if all(each := _texts(rows[k])) and len({*each}) == len(each) and any(map(is_unit, _texts(rows[k + 1]))):
                 return made(each, _texts(rows[k + 1]))
+        if len(names) > 1 == len({*names}) < len({*(each := _texts(rows[header - 1]))}) == len(names) and all(each):
+            names = each  # above types
     alike = [_texts(row) for row in rows[:header] if len(row) == len(names)]
     said = {each[0].lower(): each for each in reversed(alike)}
     above_names = next((said[key] for key in _NAME_KEYS if key in said), ())
@@ -399,25 +412,3 @@ def _are_units(row: Sequence[Cell]) -> bool:
 
 def _texts(row: Sequence[Cell]) -> tuple[str, ...]:
     return tuple(" ".join(str(cell).split()) if _there(cell) else "" for cell in row)
-
-
-def column_of(columns: Iterable[object], wanted: str) -> str | None:
-    """Return the column of a name, with or without its unit; None if missing."""
-    names = [str(each) for each in columns]
-    return next((each for each in (wanted, split_header(wanted)[0]) if each in names), None)
-
-
-def missing_column(
-    role: str,
-    column: str,
-    known: Iterable[object],
-    remedy: str = "Name the right column.",
-    left_out: Mapping[str, str] | None = None,
-) -> str:
-    """Return the sentences on a missing column, with reason or near names."""
-    if left_out and column in left_out:
-        return f"{role} column {column!r} was not read: {left_out[column]}. Save it with its times, or resample it."
-    names = [str(name) or "(no name)" for name in known]
-    listed = ", ".join(names[:_LISTED_NAMES]) + (", …" if len(names) > _LISTED_NAMES else "")
-    found = nearest(column, names) or f" (columns: {listed or 'nothing numeric'})"
-    return f"{role} column {column!r} not found{found}. {remedy}"

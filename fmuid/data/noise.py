@@ -11,9 +11,9 @@ import numpy as np
 from annotated_types import Ge, Gt
 
 from fmuid.array_types import Floats, Indices
+from fmuid.data.column_lookup import column_of, missing_column
 from fmuid.data.data_file import UNITS, numeric_column
 from fmuid.data.experiment import Experiment
-from fmuid.data.headers import column_of, missing_column
 from fmuid.errors import InputError
 from fmuid.formatting import nearest
 from fmuid.units import parse_unit

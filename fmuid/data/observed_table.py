@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 
 from fmuid.array_types import Floats
+from fmuid.data.column_lookup import column_of, missing_column
 from fmuid.data.data_file import UNITS, numeric_column
-from fmuid.data.headers import column_of, missing_column
 from fmuid.data.observation import Observation
 from fmuid.data.sensor_map import SensorMap, turned
 from fmuid.errors import InputError

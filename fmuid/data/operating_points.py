@@ -11,9 +11,9 @@ import pandas as pd
 from annotated_types import Gt
 
 from fmuid.array_types import Floats
+from fmuid.data.column_lookup import column_of, missing_column
 from fmuid.data.data_file import LEFT_OUT, SOURCE, UNITS, numeric_column
 from fmuid.data.experiment import Experiment
-from fmuid.data.headers import column_of, missing_column
 from fmuid.errors import InputError
 
 ROW = "row"

@@ -13,11 +13,11 @@ import pandas as pd
 from annotated_types import Gt
 
 from fmuid.array_types import Floats
+from fmuid.data.column_lookup import column_of, missing_column
 from fmuid.data.data_file import UNITS, numeric_column
 from fmuid.data.experiment import Experiment
 from fmuid.data.expressions import evaluate
 from fmuid.data.filters import detrended, filled, low_passed, resampled, with_missing_rows
-from fmuid.data.headers import column_of, missing_column
 from fmuid.data.interpolation import HELD, interpolation_words
 from fmuid.data.signals import inverse_park, park_transform
 from fmuid.errors import InputError

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmuid.array_types import Floats
+from fmuid.data.column_lookup import column_of
 from fmuid.data.data_file import SOURCE, UNITS, numeric_column
 from fmuid.data.experiment import Experiment
-from fmuid.data.headers import column_of
 from fmuid.data.operating_points import ROW, check_rows, describe_rows, with_rows
 from fmuid.errors import InputError
 from fmuid.units import parse_unit, unit_in_name

@@ -13,8 +13,8 @@ import numpy as np
 import pandas as pd
 
 from fmuid.array_types import Floats
+from fmuid.data.column_lookup import missing_column
 from fmuid.data.data_file import numeric_column
-from fmuid.data.headers import missing_column
 from fmuid.data.priors import checked_number
 from fmuid.errors import InputError
 

@@ -13,7 +13,7 @@ TIME_NAMES = (
     "test time", "seconds", "second", "sekunden", "x value", "x-axis", "zeitachse", "elapsed", "utc", "ts", "tout",
     "date&time", "date & time", "date and time", "run time", "total time", "cumulative time", "testtime", "uts",
     "stamp", "timestring", "uptime", "ticks", "aika", "last changed", "last updated",
-    "zeitpunkt", "laufzeit", "messzeit", "testzeit", "dauer", "시간",
+    "zeitpunkt", "laufzeit", "messzeit", "testzeit", "dauer", "시간", "ora", "godzina", "saat",
     "測定時間", "経過時間", "日時", "测试时间", "记录时间", "总时间", "日期",
 )  # fmt: skip
 """What tables call their time, in small letters, in the order of preference."""

@@ -31,6 +31,7 @@ _DOTTED = ("%d{0}%m{0}%Y", "%d{0}%m{0}%y")
 """With dots the day is first."""
 _ORDER_SAID = re.compile(r"\b(DD|MM|YYYY|YY)[./-](DD|MM|YYYY|YY)[./-](DD|MM|YYYY|YY)\b")
 _FORMS = {"DD": "%d", "MM": "%m", "YYYY": "%Y", "YY": "%y"}
+_MINUTES_SAID = re.compile(r"(?<![hH:])\bm{1,2}(?:in)?:s{1,2}(?:ec)?", re.IGNORECASE)
 _ONE_DAY = pd.Timedelta(days=1)
 _CLOCKS = (" %H:%M:%S.%f", " %H:%M:%S", " %H:%M", " %I:%M:%S.%f %p", " %I:%M:%S %p", " %I:%M %p")
 _DATED = re.compile(r"\d+[./-]\w+(?:[./-]\d+)?.*:")
@@ -96,6 +97,11 @@ def times_of(series: pd.Series[Any], column: str, source: str, form: str = "") -
     texts = _in_24_hours(_usual(texts))
     first = str(texts.iloc[0])
     if _CLOCK.fullmatch(first) and texts.map(lambda text: _CLOCK.fullmatch(text) is not None).all():
+        if _MINUTES_SAID.search(form):
+            texts = "0:" + texts
+        elif _may_be_minutes(texts):
+            said = f"{first!r}, {texts.iloc[1]!r} may be hours or minutes"
+            raise InputError(f"{source}: column {column!r}: {said}. Write times as 0:00:00.")
         clock = texts.str.replace(",", ".").map(lambda text: f"{text}:00" if text.count(":") == 1 else text)
         seconds = pd.to_timedelta(clock).dt.total_seconds()
         if seconds.max() < _DAY:
@@ -107,6 +113,15 @@ def times_of(series: pd.Series[Any], column: str, source: str, form: str = "") -
             return cells.map(lambda cell: float(cell["number"]) * SECONDS[cell["unit"]]).reindex(series.index), None
     dates = _dates(texts, column, source, form)
     return (series, None) if dates is None else seconds_of(dates.reindex(series.index))
+
+
+def _may_be_minutes(texts: pd.Series[Any]) -> bool:
+    """Return whether times from 0:00 in odd steps may be minutes and seconds: no logger saves each 7 minutes."""
+    if len(texts) < 2 or not re.fullmatch(r"0?0:\d{2}", str(texts.iloc[0])):
+        return False
+    parts = texts.head(100).str.extract(r"^(\d+):(\d+)$").astype(float)
+    steps = (60 * parts[0] + parts[1]).diff().dropna()
+    return bool(steps.notna().all() and (steps % 5 != 0).any())
 
 
 def _usual(texts: pd.Series[Any]) -> pd.Series[Any]:

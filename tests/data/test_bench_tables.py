@@ -313,6 +313,8 @@ def test_blocks_and_keys_that_are_refused(tmp_path: Path, text: str, said: str) 
             "A,ObsTime(UTC),ObsTime(LST)\n1,2026-02-28 10:00,2026-02-28 5:00\n2,2026-02-28 10:05,2026-02-28 5:05\n",
             [300.0],
         ),
+        ("time (min:sec),u\n0:07,1\n0:09,2\n", [2.0]),
+        ("time,u\n0:00,1\n0:15,2\n", [900.0]),
         ("elapsedMillis,u\n250,1\n300,2\n350,3\n", [0.05, 0.05]),
         (
             "Elapsed time,stamp,u\n0,2026-02-28 10:00,1\n90,2026-02-28 11:30,2\n180,2026-02-28 13:00,3\n",
@@ -330,6 +332,12 @@ def test_stamps_that_can_be_known(tmp_path: Path, text: str, steps: list[float] 
     np.testing.assert_allclose(np.diff(read_data(tmp_path / "a.csv")["time"]), steps)
 
 
+def test_minutes_or_hours(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("time,u\n0:00,1\n0:07,2\n0:14,3\n")
+    with pytest.raises(InputError, match=r"'0:00', '0:07' may be hours or minutes\. Write times as 0:00:00"):
+        read_data(tmp_path / "a.csv")
+
+
 @pytest.mark.parametrize(
     ("text", "units"),
     [
@@ -338,6 +346,9 @@ def test_stamps_that_can_be_known(tmp_path: Path, text: str, steps: list[float] 
         ("time,T (C),u\n0,1,2\n1,3,4\n", {"T": "C"}),
         ("Elapsed Time    Motor u\n    (s)     (V)\n0\t1\n1\t2\n2\t3\n", {"Motor u": "V"}),
         ("time,u [V (Voltage)]\n0,1\n1,3\n", {"u": "V"}),
+        ("time,i (mA),q (ccps)\n0,1,2\n1,3,4\n", {"i": "mA", "q": "ccps"}),
+        ("time,n x1000 rpm,P*10 [W],m/%\n0,1,2,3\n1,3,4,5\n", {"n x1000 rpm": "x1000 rpm", "P*10": "*10 W", "m": "%"}),
+        ("time,u,i\nfloat,float,float\n0,1,2\n1,3,4\n", {}),
         ("Units,V,,Units,mA\nTIME,u,,TIME,i\n0,1,,0,2\n1,3,,1,4\n2,3,,2,4\n", {"u": "V", "i": "mA"}),
     ],
 )
@@ -370,7 +381,7 @@ def test_series_of_iris(tmp_path: Path, form: str) -> None:
 
 
 def test_units_at_the_end_of_names() -> None:
-    names = ("mAmps", "Temp. Deg C", "Cell_Temperature_C", "p mBar", "Motor.rpm", "R_C", "x bar", "R_s")
-    said = ["mAmps", "Deg C", "degC", "mBar", "rpm", None, None, None]
+    names = ("mAmps", "Temp. Deg C", "Cell_Temperature_C", "p mBar", "Motor.rpm", "adc_mv", "R_C", "x bar", "R_s")
+    said = ["mAmps", "Deg C", "degC", "mBar", "rpm", "mV", None, None, None]
     assert [unit_in_name(each) for each in names] == said
     assert parse_unit("kN-m") == parse_unit("kN.m")

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 
 _HIGH = re.compile(rb"[\x80-\xff]+")
-_SHIFTED = re.compile(r"[\u3000-\u30ff\u3400-\u9fff\uff00-\uff5e×÷°±→Ω　\s]+")
+_SHIFTED = re.compile(r"[\u3000-\u30ff\u3400-\u9fff\uff00-\uff5e×÷°±→Ω℃　\s]+")
 _COMMON = frozenset("时间日期年月电压流温度转速序号")
 """Characters of Chinese headers and dates, which Russian words hardly have by chance."""
 _MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}

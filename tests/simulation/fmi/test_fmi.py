@@ -41,6 +41,7 @@ def test_units_convert_both_ways(probe: ProbeMaker) -> None:
     assert description.conversion(speed, "deg/s")[0] == pytest.approx(
         3.141592653589793 / 180
     )  # which it does not define
+    assert description.conversion(speed._replace(unit="K"), "C") == (1.0, 273.15)
     with pytest.raises(InputError, match="u: column unit 'deg' does not convert to 'rad/s'"):
         description.conversion(speed, "deg")
 
