@@ -216,7 +216,8 @@ def _split_alike(headers: Sequence[str]) -> list[tuple[str, str | None]]:
 
 
 def _may_be_unit(text: str) -> bool:
-    return len(text) <= _UNIT_LENGTH and not _INDEX.fullmatch(text) and not is_time_name(text)
+    known_name = text == "dB" or is_time_name(text)
+    return len(text) <= _UNIT_LENGTH and not _INDEX.fullmatch(text) and not known_name
 
 
 def _numbered(names: list[str]) -> list[str]:
