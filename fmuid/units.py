@@ -221,6 +221,6 @@ def unit_in_name(column: str, variable: str = "", own: str = "") -> str | None:
 
 
 def _in_name(column: str) -> str:
-    """Return the clear unit at the end of a name, or the name that is one; empty if none."""
+    """Return the clear unit at the end of a name; empty if none."""
     found = _IN_NAMES.fullmatch(column)
     return "" if found is None else next(each for each in found.groups() if each)

@@ -77,7 +77,7 @@ def regular_times(times: Floats, columns: pd.DataFrame, rate: float | None, name
 
 
 def _check_devices(times: Floats, columns: pd.DataFrame, source: str) -> None:
-    """Refuse rows of several devices, which a column of texts tells apart at each time."""
+    """Refuse rows of several devices that a column of texts tells apart."""
     for name, column in columns.select_dtypes(["object", "str"]).items():
         apart = not pd.DataFrame({"time": times, "device": column.to_numpy()}).duplicated().any()
         if 1 < column.nunique() <= SETTINGS.max_devices and apart:

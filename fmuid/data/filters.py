@@ -95,7 +95,7 @@ def _stretches(there: Flags, breaks: Flags) -> list[Indices]:
 
 
 def filling_keys(times: Floats, values: Floats, column: str) -> str:
-    """Return the keys that fill the gaps of an input, and leave out what is before and after its samples."""
+    """Return the keys that fill an input's gaps and cut its ends."""
     own = times[np.isfinite(values)]
     longest = float(np.diff(own).max(initial=0.0))
     keys = [f'fill_missing = {{ {json.dumps(column)} = "linear" }}']

@@ -142,7 +142,7 @@ def split_header(header: str) -> tuple[str, str | None]:
 
 
 def _after_slash(name: str, unit: str) -> bool:
-    """Return whether a text after a slash is a unit, and no part of a ratio."""
+    """Return whether a text after a slash is a unit."""
     return unit in _SLASH_UNITS or (len(unit) > 1 and is_unit(unit) and not is_unit(name))
 
 
@@ -153,7 +153,7 @@ def without_remark(unit: str) -> str:
 
 
 def _is_node(text: str, quantity: str) -> bool:
-    """Return whether a text in brackets is a node or part of a circuit: ``V(U)``, but not ``V(mV)``, ``v(kmh)``."""
+    """Return whether a text names a node of a circuit: ``V(U)``, but not ``V(mV)``, ``v(kmh)``."""
     unit = parse_unit(text) if text.isidentifier() else None
     own = [parse_unit(each) for each in (("A",) if quantity[0] in "Ii" else ("V", "m/s", "m3"))]
     foreign = unit is not None and all(each is None or each.exponents != unit.exponents for each in own)
@@ -372,7 +372,7 @@ def _units_said(rows: Sequence[Sequence[Cell]], names: Sequence[str]) -> tuple[s
 
 
 def _units_of_blocks(key: str, cells: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
-    """Return the units of blocks with empty columns between them, where each repeats the key; none of others."""
+    """Return the units of blocks between empty columns; empty of others."""
     units = [after for each, after in zip(("", *cells), (*cells, ""), strict=False) if each == key] if key else []
     units = [cells[0], *units] if cells else []
     blocks = [*accumulate(int(not name) for name in names)]

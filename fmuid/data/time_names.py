@@ -67,7 +67,7 @@ def unit_in_time_name(name: str) -> str | None:
 
 
 def is_unit_of_time(name: str) -> bool:
-    """Return whether a name is a unit of time, perhaps beside words of time; ``Min`` is no minute."""
+    """Return whether a name is a unit of time; ``Min`` is no minute."""
     words = {*map(str.lower, _words(name))}
     units = words & _UNIT_WORDS.keys()
     return words != {"min"} and len(units) == 1 and words - units <= _BESIDE_UNITS

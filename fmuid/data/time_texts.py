@@ -116,7 +116,7 @@ def times_of(series: pd.Series[Any], column: str, source: str, form: str = "") -
 
 
 def _may_be_minutes(texts: pd.Series[Any]) -> bool:
-    """Return whether times from 0:00 in odd steps may be minutes and seconds: no logger saves each 7 minutes."""
+    """Return whether times from 0:00 in odd steps may be minutes."""
     if len(texts) < 2 or not re.fullmatch(r"0?0:\d{2}", str(texts.iloc[0])):
         return False
     parts = texts.head(100).str.extract(r"^(\d+):(\d+)$").astype(float)

@@ -124,7 +124,7 @@ def _transposed(lines: Sequence[str], source: str) -> Iterator[str]:
 
 
 def _hantek(lines: Sequence[str], source: str) -> Iterator[str]:
-    """Yield samples of Hantek at the interval above them, one block below another if each has a channel."""
+    """Yield samples of Hantek, with all channels or one per block."""
     starts = [k for k, line in enumerate(lines) if re.match(r"#\s*CHANNEL", line)]
     heads, columns, clocks = list[str](), list[list[str]](), set[str]()
     for first, end in itertools.pairwise([*starts, len(lines)]):

@@ -173,7 +173,7 @@ def _without_end(opened: Callable[[], IO[bytes]], layout: TextLayout) -> Callabl
 
 
 def _last_lines(opened: Callable[[], IO[bytes]]) -> list[str]:
-    """Return the last lines of a text, the first of them perhaps cut."""
+    """Return the last lines of a text."""
     with opened() as file:
         file.seek(max(file.seek(0, io.SEEK_END) - _END, 0))
         return file.read().decode("utf-8", "replace").splitlines()

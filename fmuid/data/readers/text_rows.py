@@ -71,7 +71,7 @@ Rows = list[tuple[int, list[str]]]
 
 
 def with_spaced_names(read: Rows, text: str) -> Rows:
-    """Return rows of blanks whose names have single ones and two or tabs between them: ``Elapsed Time   u``."""
+    """Return rows with names that have single blanks: ``Elapsed Time   u``."""
     lines = text.splitlines()
     for k in range(1, len(read) - 1):
         count = len(read[k][1])
