@@ -179,7 +179,7 @@ def test_tests_mirror_the_packages() -> None:
 
 COLUMN = (
     *("studies.study", "studies.model", "data.data_file", "data.readers.text", "data.headers", "data.clock"),
-    *("data.preprocessing", "data.experiment", "identification.problem", "estimation.problem"),
+    *("data.column_lookup", "data.preprocessing", "data.experiment", "identification.problem", "estimation.problem"),
     *("estimation.cost_function", "estimation.local_search", "estimation.result"),
     *("runs.findings", "reports.topics.fit", "reports.chart", "reports.render.bokeh_renderer", "reports.render.html"),
 )

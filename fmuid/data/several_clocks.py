@@ -21,8 +21,6 @@ _GRIDS = (1.0, 0.1, 0.01)
 """Steps of rounded times, s."""
 _JITTER = 0.05
 """Share of a step by which times of one row may differ besides a constant that nobody knows."""
-_SLOWER = 0.6
-"""Samples of a slower column per row, at most."""
 _WORDS = re.compile(r"[^\W\d_]+|\d+")
 
 
@@ -193,10 +191,10 @@ def inputs_at_all_times(
     return found
 
 
-def _is_slower(times: pd.Series[Any], column: pd.Series[Any]) -> bool:
+def _is_slower(times: pd.Series[Any], column: pd.Series[Any], most: float = 0.6) -> bool:
     """Return whether a column has samples at a slower rate than others: in even steps, and no gaps."""
     there = column.notna().to_numpy()
-    if not 5 <= there.sum() <= _SLOWER * there.size or not is_numeric_dtype(times.dtype):
+    if not 5 <= there.sum() <= most * there.size or not is_numeric_dtype(times.dtype):
         return False
     steps = np.diff(times.to_numpy()[there])
     return bool(steps.min() > 0 and steps.max() <= GAP * np.median(steps))

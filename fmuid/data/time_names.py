@@ -36,9 +36,12 @@ _TIME_WORDS = (
     "secs",
     "epoch",
 )
-_UNIT_WORDS = {each: each for each in SECONDS if len(each) > 1 and each not in ("day", "days", "tage")}
-_UNIT_WORDS |= dict.fromkeys(("millis", "milliseconds", "msecs", "millisec"), "ms")
-_UNIT_WORDS |= dict.fromkeys(("micros", "usecs", "microsec"), "us") | dict.fromkeys(("nanos", "nsecs", "nanosec"), "ns")
+_UNIT_WORDS = {
+    **{each: each for each in SECONDS if len(each) > 1 and each not in ("day", "days", "tage")},
+    **dict.fromkeys(("millis", "msecs", "millisec"), "ms"),
+    **dict.fromkeys(("micros", "usecs", "microsec"), "us"),
+    **dict.fromkeys(("nanos", "nsecs", "nanosec"), "ns"),
+}
 _BESIDE_UNITS = {
     "time",
     "t",
