@@ -178,8 +178,8 @@ def test_tests_mirror_the_packages() -> None:
 # --- two walks: each step is an import, so that a reader can follow it, and neither is long
 
 COLUMN = (
-    *("studies.study", "studies.model", "data.data_file", "data.readers.text", "data.headers", "data.clock"),
-    *("data.column_lookup", "data.preprocessing", "data.experiment", "identification.problem", "estimation.problem"),
+    *("studies.study", "studies.model", "data.data_file", "data.readers.text", "data.clock", "data.column_lookup"),
+    *("data.preprocessing", "data.experiment", "identification.problem", "estimation.problem"),
     *("estimation.cost_function", "estimation.local_search", "estimation.result"),
     *("runs.findings", "reports.topics.fit", "reports.chart", "reports.render.bokeh_renderer", "reports.render.html"),
 )
