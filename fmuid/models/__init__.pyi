@@ -21,7 +21,6 @@ from .fmu_summary import VariableRow as VariableRow
 from .fmu_summary import facts as facts
 from .fmu_summary import lines as lines
 from .machine_terminals import PHASOR_FORMULAS as PHASOR_FORMULAS
-from .machine_terminals import MachineDeclaration as MachineDeclaration
 from .machine_terminals import MachineTerminals as MachineTerminals
 from .machine_terminals import OperatingPhasors as OperatingPhasors
 from .machine_terminals import Phasors as Phasors

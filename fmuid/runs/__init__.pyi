@@ -63,7 +63,6 @@ from .provenance import result_path as result_path
 from .provenance import study_of as study_of
 from .provenance import write_origin as write_origin
 from .result_schema import result_schema_text as result_schema_text
-from .run import SearchInterruptedError as SearchInterruptedError
 from .run import identified as identified
 from .study_changes import ChangeKind as ChangeKind
 from .study_changes import StudyChange as StudyChange

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from fmuid import codec
 from fmuid.errors import InputError
 from fmuid.estimation import RESULT_SCHEMA
-from fmuid.files import is_file, is_folder
+from fmuid.files import is_file, is_folder, relative
 from fmuid.models import file_digest
 from fmuid.runs.findings import Provenance, StudySource
 from fmuid.runs.folder import MONITORING_SCHEMA, RESULT_FILE
@@ -39,7 +39,7 @@ def made_from(study: Study, also: Iterable[Path] = (), folder: Path | None = Non
     except tomllib.TOMLDecodeError:
         changed = True
     whole = None if folder is None else mapped(study.data, _as_json)
-    file = study.path.name if folder is None else _way(study.path, folder).as_posix()
+    file = study.path.name if folder is None else relative(study.path, folder)
     source = StudySource(file, hashlib.sha256(content).hexdigest(), text, changed, whole)
     return made_now(study.title, source, digests([*study.files(), *also], study.path.parent))
 
@@ -57,16 +57,8 @@ def write_origin(path: Path, study: Study, also: Iterable[Path] = ()) -> Path:
 def digests(files: Iterable[Path], folder: Path) -> dict[str, str]:
     """Return SHA-256 of existing files by the ends of their paths; whole ones could disclose their owner."""
     there = [path for path in dict.fromkeys(files) if path.is_file()][:40]
-    ends = ([part for part in _way(path, folder).parts if part != ".."][-3:] for path in there)
+    ends = ([part for part in Path(relative(path, folder)).parts if part != ".."][-3:] for path in there)
     return {"/".join(end): file_digest(path) for end, path in zip(ends, there, strict=True)}
-
-
-def _way(file: Path, folder: Path) -> Path:
-    """Return the path of a file from a folder."""
-    try:
-        return Path(os.path.relpath(file.resolve(), folder.resolve()))
-    except ValueError:  # on another drive
-        return file.resolve()
 
 
 def mapped(value: Any, change: Callable[[Any, str], Any], key: str = "") -> Any:

@@ -26,7 +26,6 @@ from .right_hand_side import RightHandSide as RightHandSide
 from .sensitivities import derivatives_of as derivatives_of
 from .simulation_plan import MOST_STEPS as MOST_STEPS
 from .simulation_task import Value as Value
-from .simulation_task import column_conversion as column_conversion
 from .simulator import Simulator as Simulator
 from .smoke_test import Stage as Stage
 from .solver_refinement import AS_ASKED as AS_ASKED

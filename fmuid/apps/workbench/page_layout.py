@@ -14,6 +14,7 @@ from jinja2 import Environment, Template
 from markupsafe import Markup
 
 from fmuid.apps.workbench.access_control import SCHEME
+from fmuid.reports.render.html import page_file
 
 silence(EMPTY_LAYOUT)  # parts of a page that come later
 
@@ -32,8 +33,7 @@ def own_file(name: str) -> str:
 @cache
 def style() -> str:
     """Return the style of all pages: that of a report, and more."""
-    report = resources.files("fmuid.reports.render").joinpath("page.css").read_text(encoding="utf-8")
-    return report + own_file("workbench.css")
+    return page_file("page.css") + own_file("workbench.css")
 
 
 def variables(

@@ -10,6 +10,7 @@ import json
 import re
 import uuid
 from collections.abc import Iterator, Sequence
+from functools import cache
 from importlib import resources
 from importlib.metadata import version
 from typing import Any
@@ -33,7 +34,7 @@ def page(title: str, documents: Sequence[Document]) -> str:
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width,initial-scale=1">'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}"><meta name="referrer" content="no-referrer">'
-        f"<title>{text(title)}</title><style>{_file('page.css')}</style></head>\n"
+        f"<title>{text(title)}</title><style>{page_file('page.css')}</style></head>\n"
     )
     ends = "".join(_origin(each, several=len(documents) > 1) for each in documents)
     end = f"<section class=end>{ends}</section>" if ends else ""
@@ -189,11 +190,20 @@ def _drawing(drawings: Sequence[Any]) -> tuple[str, str]:
     """Return digests of the scripts; elements with scripts and figures."""
     from fmuid.reports.render.style import DARK
 
-    library, own = bokeh_library(), f"const DARK = {json.dumps(DARK)};\n{_file('page.js')}"
+    own, (known, library) = f"const DARK = {json.dumps(DARK)};\n{page_file('page.js')}", _library()
     figures = json.dumps(drawings, separators=(",", ":"))
-    hashes = (base64.b64encode(hashlib.sha256(each.encode()).digest()).decode() for each in (library, own))
-    digests = " ".join(f"'sha256-{each}'" for each in hashes)
-    return digests, f"{_packed('library', library)}{_packed('figures', figures)}<script>{own}</script>\n"
+    return f"{known} {_digest(own)}", f"{library}{_packed('figures', figures)}<script>{own}</script>\n"
+
+
+@cache
+def _library() -> tuple[str, str]:
+    """Return the digest of Bokeh's library, and its element: packing takes a tenth of a second."""
+    library = bokeh_library()
+    return _digest(library), _packed("library", library)
+
+
+def _digest(script: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
 
 
 def _packed(name: str, content: str) -> str:
@@ -207,5 +217,6 @@ def bokeh_library() -> str:
     return path.read_text(encoding="utf-8")
 
 
-def _file(name: str) -> str:
+def page_file(name: str) -> str:
+    """Return a style or a script of pages."""
     return resources.files("fmuid.reports.render").joinpath(name).read_text(encoding="utf-8")

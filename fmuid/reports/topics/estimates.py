@@ -70,7 +70,7 @@ def estimates_table(result: Result, level: float = CONFIDENCE_LEVEL) -> Table:
     columns = {"parameter": list(result.names), "estimate": value}
     if result.outcome is not TerminationReason.STALLED:  # which has no intervals
         columns["relative σ"] = [
-            f"{100 * std / abs(value):.2g} %" if value and math.isfinite(std) else "" for _, value, std in rows
+            _percent(std / abs(value)) if value and math.isfinite(std) else "" for _, value, std in rows
         ]
         columns[f"{100 * level:.4g} % interval"] = [
             f"{rounded(low, std)} to {rounded(high, std)}" if math.isfinite(std) else "not identifiable"

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import pandas as pd
 
-from fmuid.formatting import listed, two_digits, unit_text, with_std, with_unit
+from fmuid.formatting import listed, rounded, two_digits, unit_text, with_std, with_unit
 from fmuid.identification import (
     Deviation,
     ExtrapolationReason,
@@ -74,7 +74,7 @@ def _agreement(reading: PriorDataComparison, agreement: PriorDataTest) -> Remark
 def _influence(reading: PriorDataComparison, found: PriorInfluence) -> Remark:
     i = reading.names.index(found.name)
     std = float(reading.data_std[i])
-    alone, value = (_shown(float(each[i]), std) for each in (reading.data, reading.combined))
+    alone, value = (rounded(float(each[i]), std) for each in (reading.data, reading.combined))
     if found.rests:
         of = "" if found.prior == found.name else f" of {found.prior}"
         return PriorMessage.DOMINATES.said(name=found.name, of=of, alone=f"{alone} ± {std:.2g}")
@@ -84,7 +84,7 @@ def _influence(reading: PriorDataComparison, found: PriorInfluence) -> Remark:
 
 def _bent(reading: PriorDataComparison) -> Remark:
     i = reading.names.index(reading.bent)
-    value = _shown(float(reading.weighted_mean[i]), float(reading.combined_std[i]))
+    value = rounded(float(reading.weighted_mean[i]), float(reading.combined_std[i]))
     distance = f"{abs(reading.nonlinearity[i]):.2g}"
     return PriorMessage.NONLINEAR.said(name=reading.bent, value=value, distance=distance)
 
@@ -117,12 +117,6 @@ def obstacle_remark(obstacle: ExtrapolationReason) -> Remark:
     else:
         reason = "robust loss" if obstacle.outcome is None else ENDS[obstacle.outcome]
     return PriorMessage.EXTRAPOLATED.said(reason=reason)
-
-
-def _shown(value: float, std: float) -> str:
-    """Return a number to the second significant digit of its standard deviation."""
-    decimals = 1 - math.floor(math.log10(std))
-    return f"{value:.{decimals}f}" if 0 <= decimals <= 9 else f"{value:.4g}"
 
 
 BELIEF = (
