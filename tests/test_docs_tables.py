@@ -1,6 +1,6 @@
 """Each row of docs/tables.md and docs/time-columns.md: such a table is made, and read as the row says."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +13,13 @@ from fmuid import Experiment, InputError, Study
 from fmuid.runs import CaseList
 from fmuid.studies import InitOptions, match_data_files
 from tests.support.coil_study import COIL
-from tests.support.docs_rows import rows
+from tests.support.docs_rows import RowChecks, rows
 from tests.support.table_variants import writers
 
 T = np.arange(100.0) * 1e-3
 PLAIN = pd.DataFrame({"time": T, "u": np.where(T < 0.05, 12.0, 0.0), "i": np.sin(40 * T)})
 ROLES = 'inputs = ["u"]\noutputs = ["i"]\n'
-ROWS: dict[str, Callable[[Path], None]] = {}
+row = ROWS = RowChecks()
 VARIANTS: Mapping[str, tuple[str, ...]] = {
     "COMTRADE, PSCAD": ("comtrade.dat", "comtrade.cfg", "comtrade.cff", "pscad_01.out"),
     "`;` between columns, `3,14`, Excel's CSV, UTF-16, lines above the header": (
@@ -42,11 +42,6 @@ VARIANTS: Mapping[str, tuple[str, ...]] = {
 }
 """Rows whose files are written and read in `tests.data.test_table_variants`, by the names that they have there."""
 PREPROCESS = "[experiments.preprocess]\n"
-
-
-def row(head: str) -> Callable[[Callable[[Path], None]], None]:
-    """Take a function for the check of the row with this first cell."""
-    return lambda check: ROWS.update({head: check})
 
 
 def written(folder: Path, table: pd.DataFrame = PLAIN, name: str = "run.csv") -> Path:

@@ -4,7 +4,7 @@ Rows about FMUs that do not run and about runs that end early are tested with th
 """
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -18,21 +18,16 @@ from fmuid.array_types import Floats
 from fmuid.data import Preprocessing
 from fmuid.simulation.instance import _missing_library
 from tests.support.coil_study import COIL
-from tests.support.docs_rows import rows
+from tests.support.docs_rows import RowChecks, rows
 from tests.support.fmu_texts import FMI2, write_fmu
 from tests.support.paths import FMUS
 
-ROWS: dict[str, Callable[[Path], None]] = {}
+row = ROWS = RowChecks()
 STEP, N = 0.01, 200
 TRUTH = {"R": 4.0, "L": 0.1}
 FREE = {"R": Parameter(3.0, min=0.0), "L": Parameter(0.2, min=1e-3)}
 WITH_STATE = {"L": FREE["L"], "i_start": Parameter(0.0, nominal=1.0)}
 NOISE = 0.006  # above the root mean square of the noise of `recorded`
-
-
-def row(head: str) -> Callable[[Callable[[Path], None]], None]:
-    """Take a function for the check of the row with this first cell."""
-    return lambda check: ROWS.update({head: check})
 
 
 def recorded(offset: float = 0.0, begin: float = 0.0, noise: float = 0.005) -> pd.DataFrame:

@@ -1,8 +1,17 @@
 """Rows of tables and blocks of code on pages of docs."""
 
 import re
+from collections.abc import Callable
+from pathlib import Path
 
 from tests.support.paths import ROOT
+
+
+class RowChecks(dict[str, Callable[[Path], None]]):
+    """Checks of the rows of a page by their first cell; called with that cell, it takes the function below."""
+
+    def __call__(self, head: str) -> Callable[[Callable[[Path], None]], None]:
+        return lambda check: self.update({head: check})
 
 
 def rows(page: str, width: int) -> list[tuple[str, ...]]:
