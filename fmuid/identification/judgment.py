@@ -126,7 +126,8 @@ def _of_solver(result: Result) -> Iterator[Doubt]:
         yield Doubt(Reason.SOLVER_UNCHECKED, (check.outcome.value,), bound)
     elif check.doubtful:
         i = int(np.argmax(np.abs(np.nan_to_num(check.shift))))
-        yield Doubt(Reason.SOLVER_ERROR, (result.names[i],), {"shift": float(abs(check.shift[i]))})
+        kept = () if check.kept is None else (check.kept.value,)
+        yield Doubt(Reason.SOLVER_ERROR, (result.names[i], *kept), {"shift": float(abs(check.shift[i]))})
 
 
 def _of_delay(result: Result) -> Iterator[Doubt]:

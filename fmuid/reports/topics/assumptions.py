@@ -204,14 +204,18 @@ def defect_remarks(found: Sequence[DataDefect]) -> list[Remark]:
 
 def error_words(found: Doubt) -> str:
     """Return a model error of a verdict."""
-    others = [Direction(ErrorKind(kind), tuple(subject), "", math.nan) for kind, *subject in found.alternatives]
-    return _sized(_direction(found), found.values["size"], found.values["std"], others)
+    return _sized(_direction(found), found.values["size"], found.values["std"], _alternatives(found))
 
 
 def error_remedy(found: Doubt) -> str:
-    """Return the remedy of a model error of a verdict."""
-    direction = _direction(found)
-    return ModelErrorMessage[direction.kind.name].remedy.format(**_fields(direction.kind, direction.subject, ""))
+    """Return the remedies of a model error of a verdict and of those that explain as much."""
+    shown = [_direction(found), *_alternatives(found)[:SHOWN_ALTERNATIVES]]
+    told = (ModelErrorMessage[each.kind.name].remedy.format(**_fields(each.kind, each.subject, "")) for each in shown)
+    return " ".join(dict.fromkeys(filter(None, told)))
+
+
+def _alternatives(found: Doubt) -> list[Direction]:
+    return [Direction(ErrorKind(kind), tuple(subject), "", math.nan) for kind, *subject in found.alternatives]
 
 
 def _direction(found: Doubt) -> Direction:

@@ -12,6 +12,7 @@ from fmuid.estimation import (
     SHIFT_LIMIT,
     AccuracyOutcome,
     Doubt,
+    RefinementRefusal,
     RefinementStep,
     RunFields,
     SensitivityMethod,
@@ -75,7 +76,7 @@ class SolverMessage(Message, section="accuracy"):
         "The solver was kept: a more accurate one fits clearly worse.", "the data may come from this very solver"
     )
     NO_SEARCH = plain("The solver was kept: the fit with a more accurate one did not terminate.")
-    FINEST = plain("The solver was kept: no more accurate one exists.", remedy="Export the FMU for Model Exchange.")
+    FINEST = plain("The solver was kept: no more accurate one exists.", remedy="Reduce `step_size`.")
     UNKNOWN = doubt(
         "Solver error is unknown; it changes all outputs by {change} σ of the noise.",
         remedy="First make all parameters identifiable.",
@@ -109,22 +110,29 @@ class SolverMessage(Message, section="accuracy"):
 class UncheckedMessage(Message, section="accuracy"):
     """Reasons of an unknown solver error, by `AccuracyOutcome`."""
 
-    UNKNOWN = "an estimate has no σ"
-    UNCHECKABLE = "shorter communication steps change nothing"
-    COUPLED = "shorter communication steps suggest {bound}"
-    FAILED = "shorter communication steps fail"
-    SUGGESTED = "half the communication step suggests {bound}"
+    UNKNOWN = plain("an estimate has no σ", remedy="First make all parameters identifiable.")
+    UNCHECKABLE = plain("shorter communication steps change nothing", remedy="Export the FMU for Model Exchange.")
+    COUPLED = plain(
+        "shorter communication steps suggest {bound}", remedy="Set `discrete_time` to true or false for each component."
+    )
+    FAILED = plain("shorter communication steps fail", remedy="Export the FMU for Model Exchange.")
+    SUGGESTED = plain("half the communication step suggests {bound}", remedy="Export the FMU for Model Exchange.")
     INTERRUPTED = "its check was interrupted"
 
 
-def unchecked_words(found: Doubt) -> str:
-    """Return the reason of an unknown solver error, or its bound."""
+def solver_remedy(found: Doubt) -> str:
+    """Return the remedy of a solver error: of the reason that kept the solver."""
+    return SolverMessage[RefinementRefusal(found.subject[1]).name].remedy if len(found.subject) > 1 else ""
+
+
+def unchecked_words(found: Doubt) -> tuple[str, str]:
+    """Return the reason of an unknown solver error, or its bound, and the remedy."""
     outcome, bound = AccuracyOutcome(found.subject[0]), found.values.get("bound")
     message = UncheckedMessage[outcome.name]
-    if bound is None:
-        return message.text.format(bound="an unknown error")
-    message = UncheckedMessage.SUGGESTED if outcome is AccuracyOutcome.FAILED else message
-    return message.text.format(bound=f"{max(bound, LEAST_SHOWN):.2g} σ")
+    if bound is not None and outcome is AccuracyOutcome.FAILED:
+        message = UncheckedMessage.SUGGESTED
+    size = "an unknown error" if bound is None else f"{max(bound, LEAST_SHOWN):.2g} σ"
+    return message.text.format(bound=size), message.remedy
 
 
 def run_words(run: SolverConfiguration) -> str:

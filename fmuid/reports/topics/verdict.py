@@ -9,7 +9,7 @@ from fmuid.estimation import Doubt, Grade, Reason, Verdict
 from fmuid.formatting import listed
 from fmuid.reports.document import Message, Tone, plain
 from fmuid.reports.topics.assumptions import defect_remedy, defect_words, error_remedy, error_words
-from fmuid.reports.topics.solver_check import unchecked_words
+from fmuid.reports.topics.solver_check import solver_remedy, unchecked_words
 
 SHOWN_REASONS = 2  # reasons in the first line; the others are counted
 STATES: dict[Grade, tuple[str, Tone]] = {
@@ -34,14 +34,12 @@ class VerdictMessage(Message):
     LARGE_RESIDUAL = plain(
         "residual is {ratio:.2g} × noise level", remedy="Check the model, input interpolation and units."
     )
-    SOLVER_UNCHECKED = plain("solver error unknown: {cause}", remedy="Export the FMU for Model Exchange.")
-    SOLVER_ERROR = plain(
-        "solver error moves {first} by {shift:.2g} σ", remedy="Leave `interface`, `tolerance` and `solver_check` unset."
-    )
+    SOLVER_UNCHECKED = "solver error unknown: {cause}"
+    SOLVER_ERROR = "solver error moves {first} by {shift:.2g} σ"
     FEEDBACK = plain(
         "{first} follows the residual", remedy="Identify the loop from its reference, or check the clocks."
     )
-    MODEL_ERROR = plain("{error}", remedy="Follow the message of the model error.")
+    MODEL_ERROR = "{error}"
     DATA_DEFECT = plain("{defect}", remedy="Record again, or weight the samples.")
     EXPERIMENTS_CONFLICT = plain(
         "{first} contradicts the other experiments (p = {probability:.1g})",
@@ -89,13 +87,12 @@ def reason_words(verdict: Verdict) -> str:
 
 def remedy_words(verdict: Verdict) -> str:
     """Return the remedy of the gravest reason that has one."""
-    first = next(iter((*verdict.doubts, *verdict.freed)), None)
-    if first is not None and first.reason is Reason.MODEL_ERROR:
-        return error_remedy(first)
-    if first is not None and first.reason in _DEFECTS and (own := defect_remedy(first)):
-        return own
-    told = [each.reason for each in (*verdict.doubts, *verdict.freed)]
-    return next((text for each in told if (text := VerdictMessage[each.name].remedy)), "")
+    return next(filter(None, map(_remedy, (*verdict.doubts, *verdict.freed))), "")
+
+
+def _remedy(found: Doubt) -> str:
+    own = _REMEDIES[found.reason](found) if found.reason in _REMEDIES else ""
+    return own or VerdictMessage[found.reason.name].remedy
 
 
 def _phrases(found: Sequence[Doubt]) -> Iterator[str]:
@@ -105,7 +102,7 @@ def _phrases(found: Sequence[Doubt]) -> Iterator[str]:
         words = {
             "first": next(iter(first.subject), ""),
             "subjects": listed(_subjects(reason, doubts)),
-            "cause": unchecked_words(first) if reason is Reason.SOLVER_UNCHECKED else "",
+            "cause": unchecked_words(first)[0] if reason is Reason.SOLVER_UNCHECKED else "",
             "inputs": listed(list(dict.fromkeys(each.subject[2] for each in doubts if len(each.subject) > 2))),
             "defect": listed([defect_words(each) for each in doubts]) if reason in _DEFECTS else "",
             "error": listed([error_words(each) for each in doubts]) if reason is Reason.MODEL_ERROR else "",
@@ -118,5 +115,13 @@ def _subjects(reason: Reason, doubts: list[Doubt]) -> list[str]:
     return list(dict.fromkeys(name for each in names for name in each))
 
 
+_REMEDIES = {
+    Reason.MODEL_ERROR: error_remedy,
+    Reason.SOLVER_UNCHECKED: lambda first: unchecked_words(first)[1],
+    Reason.SOLVER_ERROR: solver_remedy,
+    Reason.CONVENTION: defect_remedy,
+    Reason.DATA_DEFECT: defect_remedy,
+}
+"""Remedies that depend on the doubt."""
 _DEFECTS = {Reason.CONVENTION, Reason.DATA_DEFECT}
 _DIRECTIONS = {Reason.NON_IDENTIFIABLE, Reason.WEAKLY_IDENTIFIABLE, Reason.PRIOR_DOMINATED, Reason.BETTER_OPTIMUM}
