@@ -208,7 +208,7 @@ def error_words(found: Doubt) -> str:
 
 
 def error_remedy(found: Doubt) -> str:
-    """Return the remedies of a model error of a verdict and of those that explain as much."""
+    """Return the remedies of a model error and its alternatives."""
     shown = [_direction(found), *_alternatives(found)[:SHOWN_ALTERNATIVES]]
     told = (ModelErrorMessage[each.kind.name].remedy.format(**_fields(each.kind, each.subject, "")) for each in shown)
     return " ".join(dict.fromkeys(filter(None, told)))

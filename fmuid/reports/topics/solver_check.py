@@ -126,7 +126,7 @@ def solver_remedy(found: Doubt) -> str:
 
 
 def unchecked_words(found: Doubt) -> tuple[str, str]:
-    """Return the reason of an unknown solver error, or its bound, and the remedy."""
+    """Return the reason of an unknown solver error, and its remedy."""
     outcome, bound = AccuracyOutcome(found.subject[0]), found.values.get("bound")
     message = UncheckedMessage[outcome.name]
     if bound is not None and outcome is AccuracyOutcome.FAILED:
