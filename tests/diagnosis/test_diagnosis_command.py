@@ -65,7 +65,7 @@ def test_command(study: Path, look: Look, capsys: pytest.CaptureFixture[str]) ->
     direct = look(record(np.random.default_rng(20), size=0.08, angle=1.0))
     assert read["rotor.size"].value == pytest.approx(direct["rotor.size"].value, rel=1e-6)
     assert {path.stem for path in (results / "figures").glob("*.png")} == {"causes", "changes", "explained"}
-    assert "FAULT: rotor" in (results / "report.html").read_text(encoding="utf-8")
+    assert "FAULT: rotor" in (results / "document.json").read_text(encoding="utf-8")
     explained = pd.read_csv(results / "diagnosis-residuals.csv")
     assert explained.filter(like="fault.").std().mean() < explained.filter(like="healthy.").std().mean()
     causes = list(pd.read_csv(results / "diagnosis.csv")["cause"])

@@ -21,10 +21,10 @@ def draw_nothing(patch: pytest.MonkeyPatch) -> None:
     """Have figures be made and written without a layout and drawing, and reports be empty."""
     patch.setattr("matplotlib.figure.Figure.get_layout_engine", lambda _: None)
     patch.setattr("matplotlib.backends.backend_agg.FigureCanvasAgg.draw", lambda self: self.get_renderer())
-    patch.setattr("fmuid.reports.publish.write_report", _blank_report)
+    patch.setattr("fmuid.reports.publish._write_page", _blank_page)
 
 
-def _blank_report(folder: Path) -> Path:
+def _blank_page(folder: Path, _documents: object) -> Path:
     with replacing(folder / "report.html") as draft:
         draft.write_text("")
     return folder / "report.html"

@@ -235,7 +235,7 @@ TABLES: dict[str, tuple[str | bytes, str]] = {
     "binary": (bytes(range(1, 256)) * 9, "not text in UTF-8, UTF-16 or cp1252"),
     "times alone": ("time\n0\n1\n2\n", "no column for the input u"),
     "no sample": ("time,u,i\n0,1,nan\n1,1,nan\n", "output column 'i' has no sample"),
-    "other letters": (f"ora,напряжение,電流\n{ROWS}", "(columns: ora, напряжение, 電流)"),
+    "other letters": (f"первый,напряжение,電流\n{ROWS}", "(columns: первый, напряжение, 電流)"),
 }
 
 
