@@ -112,6 +112,14 @@ def _(folder: Path) -> None:
         match_data_files(COIL, [written(folder, PLAIN.assign(time=local))])
 
 
+@row("rows of several devices, which a column of texts tells apart")
+def _(folder: Path) -> None:
+    both = pd.concat([PLAIN.assign(device=name) for name in ("drive 1", "drive 2")]).sort_values("time", kind="stable")
+    with pytest.raises(InputError, match="drive 1"):
+        studied(written(folder, both))
+    assert_plain(*studied(written(folder, both[both["device"] == "drive 1"])))
+
+
 @row("no times, 10 kHz")
 def _(folder: Path) -> None:
     np.testing.assert_allclose(begun(written(folder, PLAIN[["u", "i"]]), sample_rate=10e3).times, T / 10)

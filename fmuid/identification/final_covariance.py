@@ -7,7 +7,17 @@ from dataclasses import replace
 import numpy as np
 
 from fmuid.array_types import Floats
-from fmuid.estimation import AccuracyOutcome, LeastSquares, Result, sandwich_of, share_left, uneven_levels, with_shift
+from fmuid.estimation import (
+    SHIFT_LIMIT,
+    AccuracyOutcome,
+    LeastSquares,
+    Result,
+    SolverCheck,
+    sandwich_of,
+    share_left,
+    uneven_levels,
+    with_shift,
+)
 
 
 def with_covariance(result: Result, covariance: Floats, white: Floats, freedom: Floats) -> Result:
@@ -17,10 +27,19 @@ def with_covariance(result: Result, covariance: Floats, white: Floats, freedom: 
     """
     check, before = result.accuracy, std_without_shift(result)
     found = replace(result.estimates, covariance=covariance, covariance_white_noise=white, variance_dof=freedom)
-    result = replace(result, estimates=found)
+    return with_solver_error(replace(result, estimates=found, accuracy=None), check, before)
+
+
+def with_solver_error(result: Result, check: SolverCheck | None, before: Floats) -> Result:
+    """Return a result with a solver check made in other σ (k,) of its first estimates; σ allows for a large error."""
     if check is None:
         return result
-    check = replace(check, shift=check.shift * before / np.sqrt(np.diag(covariance)))
+    known = len(before)
+    shift = np.full(len(result.std), np.nan)
+    shift[:known] = check.shift[:known] * before / result.std[:known]
+    check = replace(check, shift=shift)
+    if check.outcome is AccuracyOutcome.PASSED and check.largest > SHIFT_LIMIT:
+        check = replace(check, outcome=AccuracyOutcome.SHIFTED)
     result = replace(result, accuracy=check)
     return with_shift(result, check) if check.outcome is AccuracyOutcome.SHIFTED else result
 

@@ -17,11 +17,12 @@ from numpy.typing import ArrayLike
 from fmuid.array_types import Flags, Floats, Simulations
 from fmuid.blas import single_threaded
 from fmuid.data import Parameter, usual_step
-from fmuid.estimation import Estimates, Evaluator, LeastSquares, Marquardt, Result, SolverCheck
+from fmuid.estimation import Estimates, Evaluator, LeastSquares, Marquardt, Result
 from fmuid.events import Progress
 from fmuid.identification.acquisition_delay import include_delay
 from fmuid.identification.data_defects import DataDefect
 from fmuid.identification.directed_tests import find_model_errors, whitened
+from fmuid.identification.final_covariance import std_without_shift, with_solver_error
 from fmuid.identification.model_errors import (
     DELAYS,
     SENSOR_ERRORS,
@@ -352,19 +353,9 @@ def _continued(result: Result, again: Result, errors: Sequence[ModelError]) -> R
         restarts=(),  # they compared residuals of the model without these errors
     )
     start = np.concatenate([result.estimates.start, again.estimates.start[len(result.names) :]])
-    return replace(
-        again,
-        estimates=replace(again.estimates, units={**result.estimates.units, **units}, start=start),
-        history=history,
-        setup=result.setup,
-        accuracy=None if result.accuracy is None else _checked(result.accuracy, result.std, again.std),
-    )
-
-
-def _checked(check: SolverCheck, before: Floats, after: Floats) -> SolverCheck:
-    """Return a solver check in the new standard deviations; sizes were not checked."""
-    shift = np.concatenate([check.shift * before / after[: len(before)], np.full(len(after) - len(before), np.nan)])
-    return replace(check, shift=shift)
+    estimates = replace(again.estimates, units={**result.estimates.units, **units}, start=start)
+    again = replace(again, estimates=estimates, history=history, setup=result.setup, accuracy=None)
+    return with_solver_error(again, result.accuracy, std_without_shift(result))
 
 
 def error_name(error: ModelError) -> str:

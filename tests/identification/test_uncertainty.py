@@ -9,9 +9,10 @@ import pytest
 from fmuid import Noise, Parameter, assess, map_cost
 from fmuid.array_types import Floats
 from fmuid.codec import as_json
-from fmuid.estimation import LeastSquares
+from fmuid.estimation import AccuracyOutcome, LeastSquares, SolverCheck
 from fmuid.events import Event, ProfileStep, SamplingStep
 from fmuid.identification import Assessment, AssessmentSettings, SamplerSettings, identify
+from fmuid.identification.final_covariance import std_without_shift, with_solver_error
 
 ALL = AssessmentSettings(0.9, ("a", "b"), SamplerSettings(max_steps=600, effective_size=600), (("a", "b"),))
 
@@ -118,3 +119,17 @@ def test_a_better_optimum_on_the_map_is_named() -> None:
     assert near.succeeded
     far = Assessment(maps=(map_cost(problem, result, "a", "b", ranges={"a": (-4.0, 4.0), "b": (-1.0, 1.0)}),))
     assert not far.succeeded
+
+
+@pytest.mark.parametrize(("smaller", "outcome"), [(1.0, AccuracyOutcome.PASSED), (4.0, AccuracyOutcome.SHIFTED)])
+def test_a_solver_error_in_other_standard_deviations(smaller: float, outcome: AccuracyOutcome) -> None:
+    """0.04 of a σ four times as large are 0.16 σ, which σ then contains; the second estimate was not checked."""
+    result = identify(line())
+    checked = SolverCheck(AccuracyOutcome.PASSED, np.array([0.04]))
+    found = with_solver_error(result, checked, smaller * result.std[:1])
+    assert found.accuracy is not None
+    assert found.accuracy.outcome is outcome
+    assert found.accuracy.shift[0] == pytest.approx(0.04 * smaller)
+    moved = 0.16 * result.std[0] if outcome is AccuracyOutcome.SHIFTED else 0.0
+    assert found.std == pytest.approx(np.hypot(result.std, [moved, 0.0]), rel=1e-12)
+    assert std_without_shift(found) == pytest.approx(result.std, rel=1e-12)
