@@ -31,7 +31,10 @@ def with_covariance(result: Result, covariance: Floats, white: Floats, freedom: 
 
 
 def with_solver_error(result: Result, check: SolverCheck | None, before: Floats) -> Result:
-    """Return a result with a solver check made in other σ (k,) of its first estimates; σ allows for a large error."""
+    """Return a result with a solver check made in other σ.
+
+    These (k,) are `before`, of its first estimates. Its own σ allow for a large error.
+    """
     if check is None:
         return result
     known = len(before)
