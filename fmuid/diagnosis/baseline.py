@@ -68,9 +68,9 @@ class MachineDigest:
     @classmethod
     def of(cls, system: System, baseline: Baseline, coordinates: ChangeParameterSet) -> MachineDigest:
         """Return the digest of a healthy machine and its faults."""
-        # the regression on the inputs has a coefficient for each span
+        # columns of structure depend on its settings
         how = baseline.values, baseline.refinement
-        models = {"": _digest(_model(system), how, UNEXPLAINED_RESIDUAL.spans)}
+        models = {"": _digest(_model(system), how, UNEXPLAINED_RESIDUAL)}
         for name, fault in coordinates.faults.items():
             said = (list(fault.parameters), fault.variable_map, fault.angles, fault.values, fault.inputs)
             models[name] = _digest(_model(System.of(fault.model)), said)
@@ -105,7 +105,8 @@ class MachineDigest:
         at = self._places(asked)
         if at == list(range(len(self.coordinates))):
             return shown
-        return replace(shown, outputs=[[one.among(at) for one in each] for each in shown.outputs])
+        outputs = [[one.among(at) for one in each] for each in shown.outputs]
+        return replace(shown, outputs=outputs, structure=shown.structure.among(at))
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from fmuid.diagnosis.onset_tracker import OnsetTracker
 from fmuid.diagnosis.operating_points import OperatingPoints
 from fmuid.diagnosis.population import Population, Scales, tempered
 from fmuid.diagnosis.unexplained_residual import SETTINGS as UNEXPLAINED_RESIDUAL
-from fmuid.diagnosis.unexplained_residual import HealthyStructure, lagged, regression, signal_sizes
+from fmuid.diagnosis.unexplained_residual import HealthyStructure, StructureStatistics, lagged, levels
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +32,7 @@ class BaselineStatistics:
     known: ChangePrior  # of all coordinates, relative to the healthy ones
     whitening: Whitening
     drift: Floats  # (N,) standard deviation of changes that are no fault
-    structure: HealthyStructure | None = None  # of healthy residuals; None without records
+    structure: StructureStatistics | None = None  # of healthy residuals; None without records
     noise: NoiseRatios | None = None  # of the same residuals
     basis: BaselineSource = BaselineSource.RESULT
     population: Population | None = None
@@ -55,9 +56,8 @@ class BaselineStatistics:
         """Return the statistics of healthy records."""
         sound = np.isnan(coordinates.without_faults(np.full(drift.size, math.nan)))
         scales = (coordinates.normal, drift, coordinates.scatter, sound)
-        population, noise = _population(shown, *(tuple(each.tolist()) for each in scales))
-        structure = shown.structure, noise
-        return cls(population.known, shown.whitening, drift, *structure, basis, population, shown.points)
+        population, structure, noise = _population(shown, *(tuple(each.tolist()) for each in scales))
+        return cls(population.known, shown.whitening, drift, structure, noise, basis, population, shown.points)
 
 
 @lru_cache(maxsize=8)  # for many records of one machine
@@ -67,17 +67,19 @@ def _population(
     drift: tuple[float, ...],
     scatter: tuple[float, ...],
     sound: tuple[bool, ...],
-) -> tuple[Population, NoiseRatios]:
-    """Return the population of a baseline's records, and the noise of each."""
+) -> tuple[Population, StructureStatistics, NoiseRatios]:
+    """Return the population of a baseline's records, their structure, and the noise of each."""
     scales = Scales(np.array(normal), np.array(drift), np.array(scatter))
     plain = Population.of(shown.said, scales)
     others = list(plain.without_each(shown.said, scales))
+    wide = ChangePrior(0.0 * scales.normal, np.diag(scales.normal**2))  # a few records are each by itself
     population, squares = tempered(plain, shown.said, others), []
     for record, outputs, beside in zip(shown.said, shown.outputs, others, strict=True):
         point = np.where(sound, beside.after_also(record).mean, 0.0)
         squares.append([each.squares_at(point) for each in outputs])
     shares = np.array([noise.share for noise in shown.whitening.models.values()])
-    return population, NoiseRatios(np.array(squares) / shown.samples, shares * shown.samples)
+    structure = StructureStatistics.of(shown.structure, others if plain.scatter.any() else [wide] * len(others))
+    return population, structure, NoiseRatios(np.array(squares) / shown.samples, shares * shown.samples)
 
 
 def shown_by(
@@ -122,40 +124,31 @@ def information_of(
 
 
 def _groups(experiment: Experiment, coordinates: ChangeParameterSet) -> dict[str, tuple[int, ...]]:
-    """Return the columns of each group of `_structure`."""
-    count = 1 + (len(UNEXPLAINED_RESIDUAL.spans) - 1) * len(experiment.input_names)
-    found, first = {}, 0
-    for output in experiment.output_names:
-        found[f"inputs to {output}"] = tuple(range(first, first + count))
-        first += count
-    parameters = len(coordinates.of(CauseKind.PARAMETER))
-    for signal in (*experiment.input_names, *experiment.output_names):
-        found[f"parameters by {signal}"] = tuple(range(first, first + parameters))
-        first += parameters
-    return found
+    """Return the columns of each group of `structure_of`."""
+    inputs, outputs = experiment.input_names, experiment.of_model.output_names
+    parameters = [coordinates.each[i].name for i in coordinates.of(CauseKind.PARAMETER)]
+    count = 1 + (len(UNEXPLAINED_RESIDUAL.spans) - 1) * len(inputs)
+    sizes = {f"inputs to {output}": count for output in outputs}
+    sizes |= {f"{name} by {how}": len(inputs + outputs) for how in ("sizes", "levels") for name in parameters}
+    ends = np.cumsum([0, *sizes.values()]).tolist()
+    return {name: tuple(range(*each)) for name, each in zip(sizes, pairwise(ends), strict=True)}
 
 
 def structure_of(machines: Sequence[LinearizedMachine], whitening: Whitening, point: Floats) -> InformationMatrix:
-    """Return the information of all groups beside all coordinates."""
+    """Return the information on all coordinates and groups, relative to healthy coordinates."""
     first, *others = (_regressed(machine, whitening, point) for machine in machines)
     return sum(others, start=first)
 
 
 def _regressed(machine: LinearizedMachine, whitening: Whitening, point: Floats) -> InformationMatrix:
-    experiment = machine.experiment
-    inputs, own_columns = lagged(experiment.input_values), residual_and_columns(machine, point)
-    sizes = signal_sizes(np.hstack([experiment.input_values, machine.linearize(point)[0]]))
-    varying = own_columns[:, :, [1 + i for i in machine.coordinates.of(CauseKind.PARAMETER)]]
-    varying = (varying[:, :, None, :] * sizes[:, None, :, None]).reshape(*varying.shape[:2], -1)
-    (rows, outputs, n), count = own_columns.shape, inputs.shape[1]
-    beside = np.broadcast_to(inputs[:, None, :], (rows, outputs, count))
-    whole = np.concatenate([own_columns, beside, varying], axis=2)
-    white, own = list[Floats](), list[Floats]()
-    for output, _, values in whitening.of_outputs(experiment, whole):
-        mine = np.zeros((len(values), count * outputs + varying.shape[2]))
-        first = count * experiment.output_names.index(output)  # each output has coefficients of its own
-        mine[:, first : first + count], mine[:, count * outputs :] = values[:, n : n + count], values[:, n + count :]
-        white.append(values[:, :n])
-        own.append(mine)
-    every = np.vstack(white)
-    return regression(every[:, 0], np.vstack(own), every[:, 1:])
+    experiment, whole = machine.experiment, residual_and_columns(machine, point)
+    whole[:, :, 0] += whole[:, :, 1:] @ (point - machine.coordinates.healthy)
+    inputs, outputs = experiment.input_values, machine.in_axes(machine.outputs(point))
+    lags, count = lagged(inputs), outputs.shape[1]
+    # each output of the model has coefficients of its own
+    slopes = np.einsum("kc,mj->kmjc", lags, np.eye(count)).reshape(len(lags), count, -1)
+    varying = whole[:, :, [1 + i for i in machine.coordinates.of(CauseKind.PARAMETER)]]
+    by = [np.einsum("kop,ks->kops", varying, each) for each in levels(np.hstack([inputs, outputs]))]
+    columns = [machine.sensed(slopes), *(each.reshape(*varying.shape[:2], -1) for each in by)]
+    white = whitening(experiment, np.concatenate([whole, *columns], axis=2))
+    return InformationMatrix.of(white[:, 1:], white[:, 0])

@@ -42,6 +42,7 @@ class AnalysisSettings:
     name_steps: int = 10  # linearizations at sizes of causes
     noise_steps: int = 3  # examinations beside larger noise, of which limited innovations show a part
     settled: float = 0.1  # standard deviations; sizes that move by less have settled
+    free: float = 100.0  # usual sizes of a named cause, of which none is unlikely beside unexplained structure
     tolerated: float = 3.0  # the largest error of known faults over κ: three standard deviations
 
 
@@ -243,10 +244,14 @@ class _CauseAnalyzer:
         return squares / sum(map(len, white.values()))
 
     def remainder(self, at: Linearization, naming: CauseRanking) -> UnexplainedResidual:
-        """Return the change of the regression on inputs, beside all causes."""
+        """Return the structure beside what is known and the named causes."""
         if self.healthy.structure is None:
             return NOTHING_LEFT
-        return self.healthy.structure.test(structure_of(self.machines, at.whitening, at.point), naming.temper)
+        free = np.zeros(at.point.size)
+        for cause in (each for one in naming.named[:1] for each in one.causes):
+            free[list(self.coordinates.base(cause).columns)] = SETTINGS.free * cause.size
+        known = self.known.drifting(free)
+        return self.healthy.structure.test(structure_of(self.machines, at.whitening, at.point), known, naming.temper)
 
     def sound_point(self, at: Linearization) -> Floats:
         """Return the point (N,) without causes."""

@@ -98,6 +98,10 @@ class InformationMatrix:
         """Return the information on some coordinates; the others are zero."""
         return InformationMatrix(self.matrix[np.ix_(at, at)], self.score[list(at)], self.squares)
 
+    def along(self, basis: Floats) -> InformationMatrix:
+        """Return the information on directions (N, n)."""
+        return InformationMatrix(basis.T @ self.matrix @ basis, basis.T @ self.score, self.squares)
+
     def squares_at(self, point: Floats) -> float:
         """Return the sum of squares of the residual at a point (N,)."""
         return max(0.0, float(self.squares - 2.0 * point @ self.score + point @ self.matrix @ point))

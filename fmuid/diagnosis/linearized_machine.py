@@ -58,6 +58,24 @@ class LinearizedMachine:
         known = self._known.get(point.tobytes())
         return self._sum(point, slopes=False)[0] if known is None else known[0]
 
+    def in_axes(self, outputs: Floats) -> Floats:
+        """Return the model's own outputs (K, n_model) behind those of its sensors (K, n_outputs)."""
+        observed = self._models[0].simulator.observed
+        if observed is None:
+            return outputs
+        names, given = self.experiment.output_names, observed.map.given
+        axes = np.nan_to_num(observed.currents_behind(outputs, np.array(given.values)))  # unknown ones are zero
+        behind = dict(zip(given.currents, axes.T, strict=True))
+        own = self.experiment.of_model.output_names
+        return np.column_stack([behind[each] if each in behind else outputs[:, names.index(each)] for each in own])
+
+    def sensed(self, slopes: Floats) -> Floats:
+        """Return changes of the sensors (K, n_outputs, m) by those of the model (K, n_model, m)."""
+        observed = self._models[0].simulator.observed
+        if observed is None:
+            return slopes
+        return np.moveaxis(observed.changes(np.moveaxis(slopes, 2, 0), np.array(observed.map.given.values)), 0, 2)
+
     def apart_at_zero(self) -> dict[str, Floats]:
         """Return fault models at zero fault minus healthy outputs (K, n_outputs)."""
         sound, *faulty = (model.simulate(self.coordinates.healthy[None])[0] for model in self._models)

@@ -1,7 +1,8 @@
 """Unexplained change: structure of the residual that no listed cause has, and that healthy records have less of.
 
-Groups of columns: each output's regression on earlier inputs (lags in doubling spans, as a response fades), and healthy
-parameters that vary with the size of a signal. Coefficients of healthy records are a `Population`.
+Groups of columns: each output of the model by earlier inputs (lags in doubling spans, as a response fades), and
+each healthy parameter by the inputs and outputs: by their sizes, or by their slow levels such as that of a flux.
+Coefficients of healthy records are a `Population`, beside coordinates that are known as those of a new record are.
 """
 
 from __future__ import annotations
@@ -9,14 +10,13 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import special
 
 from fmuid.array_types import Floats
-from fmuid.diagnosis.information_matrix import LEAST, InformationMatrix, ScoreStatistics
+from fmuid.diagnosis.information_matrix import LEAST, ChangePrior, InformationMatrix, ScoreStatistics
 from fmuid.diagnosis.population import SETTINGS as POPULATION
 from fmuid.diagnosis.population import Population, Scales
 from fmuid.identification import SAME_VARIANCE_RATIO
@@ -29,11 +29,11 @@ class UnexplainedSettings:
     level_share: float = 0.1  # of the level, spent on these tests
     spans: tuple[int, ...] = (0, 1, 2, 4, 8, 16, 32)  # lags of the inputs, samples; summed between
     structure_share: float = 0.2  # of the level, for structure beside healthy data
-    smooth: int = 32  # samples over which the size of a signal is averaged
+    smooth: int = 32  # samples, time constant of a signal's size ...
+    slow: int = 8  # ... and parts of a record, one of which is that of its level
     nothing: float = 1e-8  # information of a direction, over the best, below which it is left out
-    spanned: float = 1e-12  # singular value of the model's columns, over the largest, of no direction
-    normal: float = 100.0  # of a group's effect in a sound machine, in standard deviations of the noise
-    scatter: float = 0.1  # the same, between operating points, before any healthy record
+    normal: float = 1e3  # of a group's directions in a sound machine, in standard deviations of a record's estimate
+    scatter: float = 0.1  # the same, between operating points, before any healthy record; of noise a share
 
 
 SETTINGS = UnexplainedSettings()
@@ -60,87 +60,87 @@ def lagged(inputs: Floats, spans: Sequence[int] = SETTINGS.spans) -> Floats:
     return np.hstack([np.ones((len(inputs), 1)), *(a - b for a, b in itertools.pairwise(until))])
 
 
-def regression(residual: Floats, regressors: Floats, jacobian: Floats) -> InformationMatrix:
-    """Return the regression of a whitened residual beside the Jacobian."""
-    norms = np.linalg.norm(jacobian, axis=0)
-    basis, values, _ = np.linalg.svd(jacobian / np.where(norms > 0, norms, 1.0), full_matrices=False)
-    spanned = basis[:, values > SETTINGS.spanned * values.max(initial=0.0)]
-    left = regressors - spanned @ (spanned.T @ regressors)
-    # of a regressor that the Jacobian spans, rounding and errors of differences are left
-    own = np.sum(left**2, axis=0) > LEAST * np.sum(regressors**2, axis=0)
-    return InformationMatrix.of(left * own, residual)
+def levels(signals: Floats) -> tuple[Floats, Floats]:
+    """Return the sizes of signals (n, m), and the squares of their slow levels."""
+    slow = _smoothed(signals, max(1.0, len(signals) / SETTINGS.slow))
+    return _smoothed(np.abs(signals), SETTINGS.smooth), slow**2
 
 
-def signal_sizes(signals: Floats) -> Floats:
-    """Return the smoothed sizes of signals (n, m)."""
-    window = np.ones(SETTINGS.smooth) / SETTINGS.smooth
-    padded = np.pad(np.abs(signals), ((SETTINGS.smooth - 1, 0), (0, 0)), mode="edge")
-    smooth = np.stack([np.convolve(each, window, mode="valid") for each in padded.T], axis=1)
-    return np.asarray(smooth)
+def _smoothed(signals: Floats, samples: float) -> Floats:
+    """Return first-order lags of signals (n, m), from their first values on."""
+    from scipy.signal import lfilter  # slow to import
+
+    gain = 1.0 / samples
+    return np.asarray(lfilter([gain], [1.0, gain - 1.0], signals, axis=0, zi=(1.0 - gain) * signals[:1])[0])
+
+
+def beside(whole: InformationMatrix, known: ChangePrior) -> InformationMatrix:
+    """Return the information on columns that follow N known coordinates."""
+    first, more = known.mean.size, (0, whole.score.size - known.mean.size)
+    news = ScoreStatistics.of(whole, ChangePrior(np.pad(known.mean, more), np.pad(known.covariance, more)))
+    # of a column that coordinates span, rounding and errors of differences are left
+    own = (np.diag(news.information) > LEAST * np.diag(whole.matrix))[first:]
+    return InformationMatrix(news.information[first:, first:] * np.outer(own, own), news.score[first:] * own)
 
 
 @dataclass(frozen=True, eq=False)
 class HealthyStructure:
-    """Structure of healthy residuals."""
+    """Sums of healthy records on all coordinates, and then on the columns of groups."""
 
-    groups: Mapping[str, tuple[int, ...]]  # columns by name
-    records: Sequence[InformationMatrix]  # of each record, on the columns beside all coordinates
+    groups: Mapping[str, tuple[int, ...]]  # columns by name, after the coordinates
+    records: Sequence[InformationMatrix]
     samples: int  # of all records
 
-    @cached_property
-    def _compared(self) -> _Healthy:
-        return _Healthy.of(self)
-
-    def test(self, new: InformationMatrix, temper: float) -> UnexplainedResidual:
-        """Test a new record's structure; evidence is divided by `temper` for the fault models' error."""
-        healthy = self._compared
-        each = healthy.statistics(ScoreStatistics.of(new, healthy.population.known))
-        found = [(q / factor / temper, k) for (q, k), factor in zip(each, healthy.factors, strict=True)]
-        chances = [float(special.chdtrc(k, q)) if k else 1.0 for q, k in found]
-        best = int(np.argmin(chances))
-        chance = healthy.surprise(min(1.0, chances[best] * max(1, sum(k > 0 for _, k in found))))
-        return UnexplainedResidual(*found[best], chance, list(self.groups)[best])
+    def among(self, at: Sequence[int]) -> HealthyStructure:
+        """Return the sums of some coordinates, in their order."""
+        count = sum(map(len, self.groups.values()))
+        records = [one.among([*at, *range(one.score.size - count, one.score.size)]) for one in self.records]
+        return replace(self, records=records)
 
 
 @dataclass(frozen=True, eq=False)
-class _Healthy:
-    """The population of healthy structure, and its records against the others."""
+class StructureStatistics:
+    """Populations of healthy structure, by group, and their records against the others."""
 
-    population: Population
-    groups: Sequence[Sequence[int]]
+    groups: Mapping[str, tuple[int, ...]]
+    bases: Sequence[Floats]  # (columns, n) directions of a group, in standard deviations of a record's estimate
+    populations: Sequence[Population]  # along them
     factors: Floats  # (groups,), mean χ² per degree, at least 1
     surprises: tuple[float, int]  # mean −log p of a healthy record, at least 1, and their number; 0 records: χ²
 
     @classmethod
-    def of(cls, given: HealthyStructure) -> _Healthy:
-        power = sum(np.diag(each.matrix) for each in given.records) / given.samples
-        size = np.where(power > 0, 1.0 / np.sqrt(np.where(power > 0, power, 1.0)), 0.0)
-        scales = Scales(SETTINGS.normal * size, 0.0 * size, SETTINGS.scatter * size)
-        plain = cls(
-            Population.of(given.records, scales), list(given.groups.values()), np.ones(len(given.groups)), (1.0, 0)
-        )
-        count = len(given.records)
+    def of(cls, given: HealthyStructure, known: Sequence[ChangePrior]) -> StructureStatistics:
+        """Return the statistics of records, with the coordinates known of each."""
+        records = [beside(*each) for each in zip(given.records, known, strict=True)]
+        mean = np.mean([one.matrix for one in records], axis=0)
+        bases, populations, found = list[Floats](), list[Population](), list[list[tuple[float, int]]]()
+        for group in given.groups.values():
+            bases.append(_directions(mean, group))
+            own, unit = [one.along(bases[-1]) for one in records], np.ones(bases[-1].shape[1])
+            scales = Scales(SETTINGS.normal * unit, 0.0 * unit, SETTINGS.scatter * unit)
+            populations.append(Population.of(own, scales))
+            others = populations[-1].without_each(own, scales)
+            found.append([_statistic(ScoreStatistics.of(*each)) for each in zip(own, others, strict=True)])
+        plain, count = cls(given.groups, bases, populations, np.ones(len(bases)), (1.0, 0)), len(records)
         if count <= POPULATION.least:
             return plain
-        others = plain.population.without_each(given.records, scales)
-        news = map(ScoreStatistics.of, given.records, others)
-        each = np.array([plain.statistics(one) for one in news])
-        degrees = np.maximum(each[:, :, 1], 1.0)
-        factors = np.maximum(1.0, np.mean(each[:, :, 0] / degrees, axis=0))
-        chances = special.chdtrc(degrees, each[:, :, 0] / factors).min(axis=1) * each.shape[1]
+        chi2, degrees = np.moveaxis(np.array(found), 2, 0)
+        degrees = np.maximum(degrees, 1.0)
+        factors = np.maximum(1.0, np.mean(chi2 / degrees, axis=1))
+        chances = special.chdtrc(degrees, chi2 / factors[:, None]).min(axis=0) * len(factors)
         mean = max(1.0, float(np.mean(-np.log(np.clip(chances, 1e-300, 1.0)))))
-        return cls(plain.population, plain.groups, factors, (mean, count))
+        return replace(plain, factors=factors, surprises=(mean, count))
 
-    def statistics(self, news: ScoreStatistics) -> list[tuple[float, int]]:
-        """Return χ² and degrees of freedom of each group: directions that the record determines."""
-        found = []
-        for group in self.groups:
-            information, score = news.part(group)
-            values, vectors = np.linalg.eigh(information)
-            kept = values > SETTINGS.nothing * max(float(values[-1]), np.finfo(float).tiny)
-            along = vectors[:, kept].T @ score
-            found.append((float(np.sum(along**2 / values[kept])), int(np.count_nonzero(kept))))
-        return found
+    def test(self, new: InformationMatrix, known: ChangePrior, temper: float) -> UnexplainedResidual:
+        """Test a new record's structure; evidence is divided by `temper` for the fault models' error."""
+        left, found = beside(new, known), list[tuple[float, int]]()
+        for basis, population, factor in zip(self.bases, self.populations, self.factors, strict=True):
+            statistic, degrees = _statistic(ScoreStatistics.of(left.along(basis), population.known))
+            found.append((statistic / factor / temper, degrees))
+        chances = [float(special.chdtrc(k, q)) if k else 1.0 for q, k in found]
+        best = int(np.argmin(chances))
+        chance = self.surprise(min(1.0, chances[best] * max(1, sum(k > 0 for _, k in found))))
+        return UnexplainedResidual(*found[best], chance, list(self.groups)[best])
 
     def surprise(self, chance: float) -> float:
         """Return a probability as of healthy records: Lomax of the mean −log p of K records."""
@@ -148,6 +148,27 @@ class _Healthy:
         if not count:
             return chance
         return float((1.0 - math.log(max(chance, 1e-300)) / mean / count) ** -count)
+
+
+def _directions(information: Floats, group: Sequence[int]) -> Floats:
+    """Return a basis (columns, n) of a group, of directions with the information 1."""
+    own = np.sqrt(np.diag(information)[list(group)])
+    scale = np.where(own > 0, 1.0 / np.where(own > 0, own, 1.0), 0.0)
+    values, vectors = np.linalg.eigh(information[np.ix_(group, group)] * np.outer(scale, scale))
+    kept = values > SETTINGS.nothing * max(float(values[-1]), np.finfo(float).tiny)
+    basis = np.zeros((len(information), np.count_nonzero(kept)))
+    basis[list(group)] = scale[:, None] * vectors[:, kept] / np.sqrt(values[kept])
+    return basis
+
+
+def _statistic(news: ScoreStatistics) -> tuple[float, int]:
+    """Return χ² and degrees of freedom: directions that the record determines."""
+    if not news.score.size:
+        return 0.0, 0
+    values, vectors = np.linalg.eigh(news.information)
+    kept = values > SETTINGS.nothing * max(float(values[-1]), np.finfo(float).tiny)
+    along = vectors[:, kept].T @ news.score
+    return float(np.sum(along**2 / values[kept])), int(np.count_nonzero(kept))
 
 
 @dataclass(frozen=True)
