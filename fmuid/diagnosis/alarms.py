@@ -13,7 +13,7 @@ from scipy import special
 from fmuid.array_types import Floats
 from fmuid.diagnosis.cause_ranking import rank_with_model_error
 from fmuid.diagnosis.cause_results import Explanation, explanations
-from fmuid.diagnosis.causes import ChangeParameterSet
+from fmuid.diagnosis.causes import Cause, ChangeParameterSet
 from fmuid.diagnosis.onset import OnsetEstimate, OnsetShape, estimate_onset
 from fmuid.diagnosis.onset_tracker import OnsetTracker
 
@@ -171,10 +171,15 @@ class AlarmDecision:
     """Causes and onset of an alarm."""
 
     explanations: tuple[Explanation, ...]  # the best one first
-    columns: tuple[int, ...]  # coordinates of the best one
-    sizes: Floats  # (k,) of them
+    causes: tuple[Cause, ...]  # of the best one
+    sizes: Floats  # (k,) of their coordinates
     when: OnsetEstimate  # of its first cause
     since: float  # begin of the first whole window with it, s of all data; infinite without one
+
+    @property
+    def columns(self) -> tuple[int, ...]:
+        """Coordinates of the causes."""
+        return tuple(i for cause in self.causes for i in cause.columns)
 
 
 def decide_alarm(
@@ -192,4 +197,4 @@ def decide_alarm(
         if when.cause in likely[0].causes:
             break
         when = next(each for each in dates if each.cause is likely[0].causes[0])
-    return AlarmDecision(explanations(likely, coordinates), tuple(likely[0].columns), likely[0].fit.sizes, when, since)
+    return AlarmDecision(explanations(likely, coordinates), likely[0].causes, likely[0].fit.sizes, when, since)

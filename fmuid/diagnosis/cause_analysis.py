@@ -42,7 +42,6 @@ class AnalysisSettings:
     name_steps: int = 10  # linearizations at sizes of causes
     noise_steps: int = 3  # examinations beside larger noise, of which limited innovations show a part
     settled: float = 0.1  # standard deviations; sizes that move by less have settled
-    free: float = 100.0  # usual sizes of a named cause, of which none is unlikely beside unexplained structure
     tolerated: float = 3.0  # the largest error of known faults over κ: three standard deviations
 
 
@@ -247,10 +246,8 @@ class _CauseAnalyzer:
         """Return the structure beside what is known and the named causes."""
         if self.healthy.structure is None:
             return NOTHING_LEFT
-        free = np.zeros(at.point.size)
-        for cause in (each for one in naming.named[:1] for each in one.causes):
-            free[list(self.coordinates.base(cause).columns)] = SETTINGS.free * cause.size
-        known = self.known.drifting(free)
+        named = [self.coordinates.base(cause) for one in naming.named[:1] for cause in one.causes]
+        known = self.known.drifting(self.coordinates.free(named))
         return self.healthy.structure.test(structure_of(self.machines, at.whitening, at.point), known, naming.temper)
 
     def sound_point(self, at: Linearization) -> Floats:

@@ -7,7 +7,7 @@ vector of the plane.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Annotated
@@ -34,6 +34,7 @@ class CauseSettings:
     open: float = 1e3  # magnitudes of a healthy parameter before any record: any record tells more
     null_steps: int = 2  # linearizations at the estimate without causes, ...
     close: float = 0.03  # ... until the error of the linear model is below this, in standard deviations
+    free: float = 1e3  # sizes of a named cause, of which none is unlikely then
     farthest: float = 0.3  # magnitudes of a coordinate in one of them, but for faults
 
 
@@ -218,6 +219,13 @@ class ChangeParameterSet:
         """Return the variant of a cause that has its details as coordinates; others as they are."""
         by_name = self.by_name[cause.name]
         return next(each for each in by_name if VARIANT not in self.each[each.columns[0]].fault)
+
+    def free(self, causes: Iterable[Cause]) -> Floats:
+        """Return standard deviations (N,) that leave causes free."""
+        std = np.zeros(len(self.each))
+        for cause in causes:
+            std[list(cause.columns)] = SETTINGS.free * cause.size
+        return std
 
     def without_faults(self, point: Floats, but: Collection[int] = ()) -> Floats:
         """Return a point (N,) without faults and details, but some coordinates."""

@@ -35,7 +35,6 @@ class EvaluationSettings:
     far: float = 0.3  # error of the linear model, in standard deviations, beyond which a window is linearized again
     grown: float = 0.2  # share by which D grows before an alarm is decided again
     gone: float = 6.9  # log odds of no cause that end an alarm: 1000 : 1
-    free: float = 1e3  # sizes of a named cause in its prior: free
 
 
 SETTINGS = EvaluationSettings()
@@ -157,15 +156,7 @@ class MonitorReference:
     @cached_property
     def all_free(self) -> ChangePrior:
         """Prior with the coordinates of all causes free."""
-        return self.free(tuple(range(self.magnitude.size)))
-
-    def free(self, columns: tuple[int, ...]) -> ChangePrior:
-        """Return the prior with some coordinates free."""
-        std = np.zeros(self.magnitude.size)
-        for cause in self.coordinates.causes:
-            at = [i for i in cause.columns if i in columns]
-            std[at] = SETTINGS.free * cause.size
-        return self.known.drifting(std)
+        return self.known.drifting(self.coordinates.free(self.coordinates.causes))
 
 
 class WindowEvaluation:
@@ -193,9 +184,9 @@ class WindowEvaluation:
         if not self.ended:
             self.now = self._judged(self.now) if chances.min() < limit else replace(now, judgement=None, statistic=0.0)
         found = self.now.judgement
-        settled = found is not None and found.since <= begin + sums.window.slack
-        self.free = found.columns if found is not None and settled else ()
-        self.known = against.free(self.free) if self.free else against.known
+        named = () if found is None or found.since > begin + sums.window.slack else found.causes
+        self.free = [i for cause in named for i in cause.columns]
+        self.known = against.known.drifting(against.coordinates.free(named))
         self.estimate = self.known.after_also(sums.whole)
 
     def _judged(self, now: MonitorState) -> MonitorState:
