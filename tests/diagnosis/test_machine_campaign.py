@@ -143,6 +143,14 @@ def test_errors_that_no_cause_is_are_no_other_fault(always: Condition, name: str
     assert right >= 0.9 * draws
 
 
+@pytest.mark.slow
+def test_a_new_saturation_is_no_other_fault() -> None:
+    """Beside a permanent one, which explains nothing of the new one; at a low flux a record may show nothing."""
+    found = found_in("saturation +15 %", FOREIGN["saturation +15 %"][0], IMPERFECT, 10, 6)
+    assert not any(kind in ("fault", "ambiguous") for kind, _ in found)
+    assert sum(kind == "unexplained" for kind, _ in found) >= 3
+
+
 @pytest.mark.campaign
 @pytest.mark.parametrize("name", CHANGES)
 @MACHINES
