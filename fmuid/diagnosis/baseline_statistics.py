@@ -68,7 +68,7 @@ def _population(
     scatter: tuple[float, ...],
     sound: tuple[bool, ...],
 ) -> tuple[Population, StructureStatistics, NoiseRatios]:
-    """Return the population of a baseline's records, their structure, and the noise of each."""
+    """Return population, structure and noise of a baseline's records."""
     scales = Scales(np.array(normal), np.array(drift), np.array(scatter))
     plain = Population.of(shown.said, scales)
     others = list(plain.without_each(shown.said, scales))

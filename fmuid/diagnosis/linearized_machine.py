@@ -59,7 +59,7 @@ class LinearizedMachine:
         return self._sum(point, slopes=False)[0] if known is None else known[0]
 
     def in_axes(self, outputs: Floats) -> Floats:
-        """Return the model's own outputs (K, n_model) behind those of its sensors (K, n_outputs)."""
+        """Return model outputs (K, n_model) behind sensors' (K, n_outputs)."""
         observed = self._models[0].simulator.observed
         if observed is None:
             return outputs
@@ -70,7 +70,7 @@ class LinearizedMachine:
         return np.column_stack([behind[each] if each in behind else outputs[:, names.index(each)] for each in own])
 
     def sensed(self, slopes: Floats) -> Floats:
-        """Return changes of the sensors (K, n_outputs, m) by those of the model (K, n_model, m)."""
+        """Return changes (K, n_outputs, m) of sensors by outputs' (K, n_model, m)."""
         observed = self._models[0].simulator.observed
         if observed is None:
             return slopes

@@ -61,7 +61,7 @@ def lagged(inputs: Floats, spans: Sequence[int] = SETTINGS.spans) -> Floats:
 
 
 def levels(signals: Floats) -> tuple[Floats, Floats]:
-    """Return the sizes of signals (n, m), and the squares of their slow levels."""
+    """Return sizes and squared slow levels of signals (n, m)."""
     slow = _smoothed(signals, max(1.0, len(signals) / SETTINGS.slow))
     return _smoothed(np.abs(signals), SETTINGS.smooth), slow**2
 
@@ -85,7 +85,7 @@ def beside(whole: InformationMatrix, known: ChangePrior) -> InformationMatrix:
 
 @dataclass(frozen=True, eq=False)
 class HealthyStructure:
-    """Sums of healthy records on all coordinates, and then on the columns of groups."""
+    """Sums of healthy records on coordinates, then on groups' columns."""
 
     groups: Mapping[str, tuple[int, ...]]  # columns by name, after the coordinates
     records: Sequence[InformationMatrix]
@@ -151,7 +151,7 @@ class StructureStatistics:
 
 
 def _directions(information: Floats, group: Sequence[int]) -> Floats:
-    """Return a basis (columns, n) of a group, of directions with the information 1."""
+    """Return directions (columns, n) of a group with information 1."""
     own = np.sqrt(np.diag(information)[list(group)])
     scale = np.where(own > 0, 1.0 / np.where(own > 0, own, 1.0), 0.0)
     values, vectors = np.linalg.eigh(information[np.ix_(group, group)] * np.outer(scale, scale))
