@@ -127,14 +127,11 @@ SWEEP = "fixed = { L = 0.1 }\n[[experiments]]".join(STUDY.split("[[experiments]]
 BATCH = "[batch]\nsweep = { L = [0.13, 0.1] }\n"
 
 
-@pytest.mark.parametrize(
-    ("asked", "in_worker"), [(False, False), (True, False), pytest.param(True, True, marks=pytest.mark.slow)]
-)
-def test_model_errors_of_cases(
-    tmp_path: Path, here: Any, capsys: pytest.CaptureFixture[str], asked: bool, in_worker: bool
-) -> None:
-    words = ["--workers", "1"] if in_worker else ["--no-isolation"]
-    if not in_worker:
+@pytest.mark.parametrize("asked", [False, True])
+def test_model_errors_of_cases(tmp_path: Path, here: Any, capsys: pytest.CaptureFixture[str], asked: bool) -> None:
+    """Where they are asked for, in a worker of its own: no other quick test has one."""
+    words = ["--workers", "1"] if asked else ["--no-isolation"]
+    if not asked:
         here()
     coil_table(tmp_path / "first.csv", 0.0, seed=1)
     study = tmp_path / "study.toml"
