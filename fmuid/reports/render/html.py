@@ -54,6 +54,9 @@ def place_of(key: str) -> str:
     return f"<!-- figure {key} -->"
 
 
+LONG = 48  # characters of a cell beyond which its column wraps
+
+
 def text(words: object) -> str:
     """Return a text as HTML."""
     return html.escape(visible(str(words)))
@@ -64,12 +67,13 @@ def table(columns: Table) -> str:
     shown = [each for each in columns if any(each.cells)]
     if not shown:
         return ""
-    kinds = ["number" if each.number else "word" for each in shown]
-    heads = "".join(f"<th scope=col class={kind}>{text(c.head)}</th>" for c, kind in zip(shown, kinds, strict=True))
+    longest = [max(map(len, each.cells)) for each in shown]
+    kinds = ["number" if c.number else "word long" if n > LONG else "word" for c, n in zip(shown, longest, strict=True)]
+    heads = "".join(f'<th scope=col class="{kind}">{text(c.head)}</th>' for c, kind in zip(shown, kinds, strict=True))
     rows = []
     for first, *others in zip(*(each.cells for each in shown), strict=True):
         cells = zip(shown[1:], kinds[1:], others, strict=True)
-        tail = "".join(f'<td class={kind} data-head="{text(c.head)}">{text(cell)}</td>' for c, kind, cell in cells)
+        tail = "".join(f'<td class="{kind}" data-head="{text(c.head)}">{text(cell)}</td>' for c, kind, cell in cells)
         rows.append(f"<tr><th scope=row>{text(first)}</th>{tail}</tr>")
     return f"<div class=scroll><table><thead><tr>{heads}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
 
