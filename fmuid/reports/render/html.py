@@ -54,9 +54,6 @@ def place_of(key: str) -> str:
     return f"<!-- figure {key} -->"
 
 
-LONG = 48  # characters of a cell beyond which its column wraps
-
-
 def text(words: object) -> str:
     """Return a text as HTML."""
     return html.escape(visible(str(words)))
@@ -67,8 +64,8 @@ def table(columns: Table) -> str:
     shown = [each for each in columns if any(each.cells)]
     if not shown:
         return ""
-    longest = [max(map(len, each.cells)) for each in shown]
-    kinds = ["number" if c.number else "word long" if n > LONG else "word" for c, n in zip(shown, longest, strict=True)]
+    wraps = [max(map(len, each.cells)) > 48 for each in shown]
+    kinds = ["number" if c.number else "word long" if long else "word" for c, long in zip(shown, wraps, strict=True)]
     heads = "".join(f'<th scope=col class="{kind}">{text(c.head)}</th>' for c, kind in zip(shown, kinds, strict=True))
     rows = []
     for first, *others in zip(*(each.cells for each in shown), strict=True):
