@@ -12,8 +12,8 @@ BASE = ("kilogram", "meter", "second", "ampere", "kelvin", "mole", "candela", "r
 
 _TIMES = {
     1.0: "s, sec, secs, second, seconds, sek, sekunde, sekunden, seconde, secondes, с, сек, 秒",
-    1e-3: "ms, msec, msecs, millisecond, milliseconds, millisekunden, мс, 毫秒",
-    1e-6: "us, µs, μs, usec, microsecond, microseconds, мкс, 微秒",
+    1e-3: "ms, msec, msecs, millisec, millisecs, millisecond, milliseconds, millisekunden, мс, 毫秒",
+    1e-6: "us, µs, μs, usec, microsec, microsecond, microseconds, мкс, 微秒",
     1e-9: "ns, nsec, nanosecond, nanoseconds",
     60.0: "min, mins, minute, minutes, minuten, мин",
     3600.0: "h, hr, hrs, hour, hours, stunden, heures, ч",
@@ -47,6 +47,8 @@ _MEANT = {
     "km/h": "kmh, kph, Km/h, KM/H",
     "m/s": "mps",
     "rad/s": "rad/sec, rads/s, rad s-1, rad s^-1, rad·s⁻¹, rad*s^-1, rad.s-1",
+    "permille": "‰, o/oo, 0/00",
+    "lx": "Lux, lux",
     "percent": "%, percent, Percent, pct, Prozent",
     "N": "Newton, Newtons",
     "W": "Watt, Watts, watts, Вт",

@@ -14,7 +14,7 @@ Array = npt.NDArray[Any]
 Cell = str | float | int | bool | date | datetime | time | timedelta | None
 """Of a text all cells are str; spreadsheets have typed ones."""
 
-MISSING = ("", "-", "--", "---", "nan", "na", "n/a", "#n/a", "null", "none", "inf", "-inf")
+MISSING = ("", "-", "--", "---", "nan", "nat", "na", "n/a", "#n/a", "null", "none", "inf", "-inf")
 """Cells without a sample, in small letters; infinite numbers are refused where they are used."""
 
 _MARKS = """---- ----- – — ? * nil ∞ -∞ +∞ missing nodata bad invalid error err fault burnout open ******** ###### +++++

@@ -38,6 +38,8 @@ from fmuid.units import SECONDS, TIME_UNITS, time_unit
 
 REMEDY = "Name it, give sample_rate, or a kind for rows without times."
 _WITH_SUFFIX = re.compile(rf"(.*\S)[_ ]({'|'.join(SECONDS)})", re.IGNORECASE)
+_OF_EXTREMES = re.compile(r"_TM[nx]$|\btime of (max|min|peak)", re.IGNORECASE)
+"""Names of times that are data: of the extremes since the row before."""
 _PARTS = (1e-3, 1e-6, 1e-9)
 """Units of columns beside times of whole seconds, s."""
 
@@ -226,6 +228,8 @@ def _overlap(one: Floats, other: Floats) -> bool:
 def _likely_clock(raw: RawTable, name: str, unit: str | None, usual: str | None, source: str) -> _Clock | None:
     """Return a time column if name, unit and values say so."""
     said, series = raw.units.get(name), raw.frame[name]
+    if _OF_EXTREMES.search(name):
+        return None
     dated = pd.api.types.is_datetime64_any_dtype(series.dtype)
     timed = said is not None and time_unit(said) is not None
     if (said is not None and not timed) or not (dated or timed or is_time_name(name)) or counts_part(name):
@@ -258,6 +262,11 @@ def _are_times(values: Any, source: str, mostly: float = 1.0) -> bool:
     except (InputError, ValueError, TypeError):
         return False
     return bool(steps.size and (steps > 0).mean() >= mostly and (begin is not None or np.median(steps) != 1))
+
+
+def _increases(column: pd.Series[Any]) -> bool:
+    values = pd.to_numeric(column, errors="coerce").dropna()
+    return bool(values.is_monotonic_increasing or not pd.api.types.is_numeric_dtype(column.dtype))
 
 
 def _scaled(values: Any, factor: float) -> Any:
@@ -319,7 +328,7 @@ def time_column(raw: RawTable, time: str | int, source: str) -> str | None:
         called = [name for known in TIME_NAMES for name in plain if plain[name] == known]
         if called and (best := _best_clock(raw, called, source)):
             return best
-        if "T" in timely:  # which is a temperature where there is another time
+        if "T" in timely and _increases(raw.frame["T"]):  # else a temperature
             return "T"
         if names[0] == "" and _are_times(raw.frame[""], source):  # an index of pandas
             return ""
@@ -380,7 +389,7 @@ def _rank(clock: _Clock) -> tuple[float, float, float]:
 def _read_clock(raw: RawTable, name: str, source: str) -> _Clock | None:
     try:
         clock = _clock(raw, name, None, source)
-        return clock if clock.seconds().size else None
+        return clock if np.isfinite(clock.seconds()).any() else None
     except (InputError, ValueError, TypeError):
         return None
 

@@ -196,7 +196,6 @@ def _without_marks(column: pd.Series[Any], marks: Sequence[str | float]) -> pd.S
     return column
 
 
-@np.errstate(over="ignore")  # beyond double precision
 def _largest(column: pd.Series[Any]) -> float:
     """Return the largest absolute value of a column of real numbers; -inf if there is none."""
     values = column.to_numpy(dtype=np.float64, na_value=np.nan)
@@ -206,20 +205,23 @@ def _largest(column: pd.Series[Any]) -> float:
 def _without_events(frame: pd.DataFrame, time: str) -> pd.DataFrame:
     """Return a frame without last rows of text alone, a logger's events."""
     others = frame.drop(columns=time, errors="ignore")
-    measured, texts = (others[[name for name in others if others[name].dtype.kind in kind]] for kind in ("f", "MOTU"))
+    kinds = {kind: others[[name for name in others if others[name].dtype.kind in kind]] for kind in ("f", "iu", "MOTU")}
+    measured, texts = kinds["iu"] if kinds["f"].empty else kinds["f"], kinds["MOTU"]
     if texts.empty:
         return frame
     is_event = (measured.isna().all(axis="columns") & texts.notna().any(axis="columns")).to_numpy()
     return frame if is_event.all() or not is_event[-1] else frame[: int(np.flatnonzero(~is_event)[-1]) + 1]
 
 
+@np.errstate(all="ignore")  # of numbers beyond double precision
 def _raw_table(found: FileColumns, source: str) -> RawTable:
     """Return columns of a binary file with names and units."""
     names, units = named(found.headers, found.below) if found.units_in_headers else ([*found.headers], {})
     check_once(source, names)
     columns: dict[str, Any] = {}
     for k, (name, values) in enumerate(zip(names, found.values, strict=True)):
-        native = values.astype(values.dtype.newbyteorder("="), copy=False)
+        kind = np.dtype(np.float64) if values.dtype.kind == "f" and values.dtype.itemsize > 8 else values.dtype
+        native = values.astype(kind.newbyteorder("="), copy=False)
         columns[name] = _in_zone(native, found.zones[k], source) if k in found.zones else native
     units |= {names[k]: unit for k, unit in found.units.items()}
     time = None if found.time is None else names[found.time]

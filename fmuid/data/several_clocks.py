@@ -160,7 +160,6 @@ def joined(
     return pd.DataFrame(found)
 
 
-@np.errstate(over="ignore")  # beyond double precision
 def inputs_at_all_times(
     frame: pd.DataFrame, time: str, inputs: Mapping[str, str], outputs: Iterable[str], source: str
 ) -> pd.DataFrame:

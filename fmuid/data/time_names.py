@@ -35,6 +35,7 @@ _TIME_WORDS = (
     "ts",
     "secs",
     "epoch",
+    "время",
 )
 _UNIT_WORDS = {
     **{each: each for each in SECONDS if len(each) > 1 and each not in ("day", "days", "tage")},

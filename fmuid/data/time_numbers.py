@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import takewhile
+import itertools
 from typing import Any, Literal
 
 import numpy as np
@@ -44,6 +44,10 @@ _DATE_PARTS = {
     "second": _CLOCK_PARTS[2],
 }
 """Parts of dates in their order, and what columns call them."""
+
+
+_ANY_YEAR = 2001
+"""Year of days without one; it has no leap day."""
 
 
 def since_1970(values: Any, unit: str | None) -> Literal["s", "ms", "us", "ns"] | None:
@@ -107,11 +111,13 @@ def dates_of_days(values: Any, column: str, unit: str | None) -> Any:
 
 
 def may_be_fractions(values: Any) -> bool:
-    """Return whether whole numbers are rather ms, µs or ns: no logger samples each 1000 s or 4321 s."""
+    """Return whether whole numbers are rather ms, µs or ns: no logger samples each 1000 s, or after 118, 121, 117 s."""
     if not pd.api.types.is_integer_dtype(values.dtype) or len(values) < 2:
         return False
-    step = float(np.median(np.abs(np.diff(values))))
-    return step >= 1000.0 and step % SECONDS["min"] != 0
+    steps = np.abs(np.diff(values))
+    step = float(np.median(steps))
+    uneven = len(steps) > 5 and step >= 20.0 and np.ptp(steps) > 0 and (steps % 5 != 0).mean() > 0.5
+    return bool(uneven) or (step >= 1000.0 and step % SECONDS["min"] != 0)
 
 
 def dates_in_digits(values: Any) -> Any:
@@ -158,11 +164,12 @@ def with_dates_of_days(frame: pd.DataFrame) -> pd.DataFrame:
 def _in_a_row(frame: pd.DataFrame) -> dict[str, Any]:
     """Return columns such as YY MM DD hh mm by their parts; empty without them."""
     names = [str(name).strip().lower() for name in frame.columns]
-    for first in range(len(names)):
-        pairs = zip(names[first:], _DATE_PARTS.values(), strict=False)
-        count = len([*takewhile(lambda pair: pair[0] in pair[1], pairs)])
-        if count >= 4:
-            return {part: frame.iloc[:, first + k] for k, part in enumerate([*_DATE_PARTS][:count])}
+    for first, parts in itertools.product(range(len(names)), ([*_DATE_PARTS], [*_DATE_PARTS][1:])):
+        pairs = zip(names[first:], (_DATE_PARTS[part] for part in parts), strict=False)
+        count = len([*itertools.takewhile(lambda pair: pair[0] in pair[1], pairs)])
+        if count >= 3 and parts[count - 1] in ("hour", "minute", "second"):
+            found = {part: frame.iloc[:, first + k] for k, part in enumerate(parts[:count])}
+            return {"year": found["month"] * 0 + _ANY_YEAR} | found
     return {}
 
 

@@ -35,6 +35,7 @@ _MINUTES_SAID = re.compile(r"(?<![hH:])\bm{1,2}(?:in)?:s{1,2}(?:ec)?", re.IGNORE
 _ONE_DAY = pd.Timedelta(days=1)
 _CLOCKS = (" %H:%M:%S.%f", " %H:%M:%S", " %H:%M", " %I:%M:%S.%f %p", " %I:%M:%S %p", " %I:%M %p")
 _DATED = re.compile(r"\d+[./-]\w+(?:[./-]\d+)?.*:")
+_DAY_ALONE = re.compile(r"\d{1,4}([./-])\w{1,9}\1\d{1,4}")
 _MIDNIGHT = re.compile(r"(?<=[ T])24:00(?=:00|$)")
 _CLOCK = re.compile(r"(\d+ days )?\d{1,3}:\d{1,2}(:\d{1,2}([.,]\d+)?)?")
 _OFFSET = r"(?:Z|[+-]\d{2}:?\d{2})$"
@@ -51,6 +52,7 @@ _REWRITTEN = (
     (re.compile(r"^([A-Z][a-z]{2})[a-z]* (\d{1,2}),? (\d{4}),? "), r"\2-\1-\3 "),
     (re.compile(r"^(\d{1,2}) ([A-Z][a-z]{2})[a-z]* (\d{4}),? "), r"\1-\2-\3 "),
     (re.compile(r"^(\d{4}-\d{2}-\d{2})[-_ ](\d{2})-(\d{2})-(\d{2})$"), r"\1T\2:\3:\4"),
+    (re.compile(r"^([^/ ]+T[^/ ]+)/[^/ ]+T[^/ ]+$"), r"\1"),
     (re.compile(r"^(\d{4})(\d{2})(\d{2})[:_ -](\d{2}):?(\d{2})$"), r"\1-\2-\3T\4:\5:00"),
     (re.compile(r"^(\d{4})(\d{2})(\d{2})[:_ -](\d{2}):?(\d{2}):?(\d{2}(?:\.\d+)?)$"), r"\1-\2-\3T\4:\5:\6"),
     (re.compile(r"^(\d+)d\s+(?=\d{1,2}:)"), r"\1 days "),
@@ -232,6 +234,8 @@ def _dates(texts: pd.Series[Any], column: str, source: str, form: str = "") -> p
             return in_utc.dt.tz_convert(pd.Timestamp(texts.iloc[0]).tz)
     if _ZONED.fullmatch(str(texts.iloc[0])):
         return _zoned(texts, column, source)
+    if _DAY_ALONE.fullmatch(str(texts.iloc[0])) and texts.is_unique:  # else of times beside them
+        texts = texts + " 00:00"
     if not _DATED.search(str(texts.iloc[0])) or not texts.str.contains(_DATED).all():
         return None
     points = texts.str.replace(",", ".")

@@ -315,6 +315,15 @@ def test_blocks_and_keys_that_are_refused(tmp_path: Path, text: str, said: str) 
         ),
         ("time (min:sec),u\n0:07,1\n0:09,2\n", [2.0]),
         ("time,u\n0:00,1\n0:15,2\n", [900.0]),
+        ("period,u\n2026-02-28T10:00:00/2026-02-28T10:01:00,1\n2026-02-28T10:01:00/2026-02-28T10:02:00,2\n", [60.0]),
+        ("Month,Day,Hour,u\n1,31,22,1\n1,31,23,2\n2,1,0,3\n", [3600.0, 3600.0]),
+        (
+            "stamp,u_min,u_TMn,u\n2026-02-28 10:00,1,2026-02-28 09:10,5\n2026-02-28 11:00,2,2026-02-28 10:50,6\n",
+            [3600.0],
+        ),
+        ("время замера;T\n2026-02-28 10:00;7.5\n2026-02-28 10:05;6.5\n", [300.0]),
+        ("t (millisec),u\n5,1\n10,2\n", [0.005]),
+        ("Date,u\n28/02/2026,1\n01/03/2026,2\n02/03/2026,2\n", [86400.0, 86400.0]),
         ("elapsedMillis,u\n250,1\n300,2\n350,3\n", [0.05, 0.05]),
         (
             "Elapsed time,stamp,u\n0,2026-02-28 10:00,1\n90,2026-02-28 11:30,2\n180,2026-02-28 13:00,3\n",
@@ -349,12 +358,30 @@ def test_minutes_or_hours(tmp_path: Path) -> None:
         ("time,i (mA),q (ccps)\n0,1,2\n1,3,4\n", {"i": "mA", "q": "ccps"}),
         ("time,n x1000 rpm,P*10 [W],m/%\n0,1,2,3\n1,3,4,5\n", {"n x1000 rpm": "x1000 rpm", "P*10": "*10 W", "m": "%"}),
         ("time,u,i\nfloat,float,float\n0,1,2\n1,3,4\n", {}),
+        ("time,u [V]\nlog of the rig\n0,1\n1,2\n", {"u": "V"}),
+        ("! rig\n! t_[s] u_[mV]\n! 4\n0.0 1.5\n0.1 2.5\n0.2 3.5\n", {"u_": "mV"}),
+        ("# Columns:\n# 1. G. Irradiation at ground (W/m2)\n# time;G\n0;1\n1;3\n", {"G": "W/m2"}),
         ("Units,V,,Units,mA\nTIME,u,,TIME,i\n0,1,,0,2\n1,3,,1,4\n2,3,,2,4\n", {"u": "V", "i": "mA"}),
     ],
 )
 def test_units_in_legends_blocks_and_remarks(tmp_path: Path, text: str, units: dict[str, str]) -> None:
     (tmp_path / "a.txt").write_text(text)
     assert read_data(tmp_path / "a.txt").attrs["units"] == units
+
+
+@pytest.mark.parametrize("last", ['42,"pump off, fan on"', "42.5,stop"])
+def test_a_remark_in_the_last_row_is_no_event(tmp_path: Path, last: str) -> None:
+    rows = "".join(f"{k},{k},\n" for k in range(9))
+    (tmp_path / "a.csv").write_text(f"time,u,remark\n{rows}9,{last}\n")
+    assert len(read_data(tmp_path / "a.csv")) == 10
+
+
+def test_whole_times_in_uneven_steps_are_asked_for(tmp_path: Path) -> None:
+    times = np.cumsum([118, 121, 117, 116, 122, 119, 118])
+    (tmp_path / "a.csv").write_text("time,u\n" + "".join(f"{each},1\n" for each in times))
+    with pytest.raises(InputError, match="may be in ms, µs or ns"):
+        read_data(tmp_path / "a.csv")
+    assert read_data(tmp_path / "a.csv", time_unit="s")["time"].iloc[-1] == times[-1]
 
 
 def test_rows_of_several_devices(tmp_path: Path) -> None:

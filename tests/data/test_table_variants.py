@@ -154,7 +154,7 @@ def test_what_cannot_be_unpacked(tmp_path: Path, kind: str) -> None:
 def test_a_sheet_by_name_and_by_place(tmp_path: Path) -> None:
     path = tmp_path / "a.xlsx"
     with pd.ExcelWriter(path, engine="openpyxl") as book:
-        FRAME.assign(u=0.0).to_excel(book, sheet_name="idle", index=False)
+        FRAME.assign(u=0.0, x=1.0).to_excel(book, sheet_name="idle", index=False)
         FRAME.to_excel(book, sheet_name="run", index=False)
         pd.DataFrame({"remark": ["none"]}).to_excel(book, sheet_name="about", index=False)
     assert not read_data(path)["u"].any()
@@ -169,6 +169,16 @@ def test_a_sheet_by_name_and_by_place(tmp_path: Path) -> None:
     for other, sentence in wrong.items():
         with pytest.raises(InputError, match=sentence):
             read_data(path, sheet=other)
+
+
+def test_sheets_of_one_layout_are_to_be_chosen(tmp_path: Path) -> None:
+    path = tmp_path / "a.xlsx"
+    with pd.ExcelWriter(path, engine="openpyxl") as book:
+        for name in ("rig 1", "rig 2"):
+            FRAME.to_excel(book, sheet_name=name, index=False)
+    with pytest.raises(InputError, match=r"2 sheets of one layout: rig 1, rig 2\. Choose one by sheet"):
+        read_data(path)
+    pd.testing.assert_frame_equal(read_data(path, sheet="rig 2")[[*FRAME]], FRAME)
 
 
 @pytest.mark.parametrize("index", [range(3), ["a", "b", "c"], [3.0, 1.0, 2.0]])

@@ -82,7 +82,6 @@ HOSTS = "time,host,name,value\n" + "".join(f"{k},{host},u,{k}\n" for k in range(
         ("time,u\n", "no samples below the header"),
         ("time,u\n0,0,1,5\n0,1,2,5\n", "2 names in the header, 4 cells in row 1"),
         ("time,x[1,2]\n0,1\n1,1\n", r"3 names in the header, 2 cells in row 1\. Quote names"),
-        ("time,u\nlog of the rig\n0,1\n1,2\n", r"2 names in the header, 1 cell in row 1\. Remove this row"),
         ("time,u\n0,1\n1,2,3\n", "2 names in the header, 3 cells in row 2. .*as many cells as the header"),
         ("time,u,y\n0,1,2\n\n1,2,\n2,3\n", "3 names in the header, 2 cells in row 3"),
         ("time,u,y\n0,1,2\n1", "3 names in the header, 1 cell in row 2"),

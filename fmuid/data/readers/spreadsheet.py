@@ -21,20 +21,23 @@ def read_spreadsheet(path: Path, source: str, sheet: str | int | None) -> FileCo
     """Read a sheet by name or place from 1; default: the first that is no summary of a ten times longer one."""
     book = library("python_calamine", "excel", source).CalamineWorkbook.from_path(path)
     tables: list[tuple[list[list[Cell]], TableHeader]] = []
+    found: dict[tuple[str, ...], list[str]] = {}
     for name in book.sheet_names if sheet is None else [chosen(book.sheet_names, sheet, source)]:
         filled = [row for row in book.get_sheet_by_name(name).to_python() if not all(map(is_missing, row))]
         widest = range(max(map(len, filled), default=0))
         columns = [k for k in widest if not all(is_missing(row[k]) for row in filled)]
         rows = [[row[k] for k in columns] for row in filled]
         head = find_head(rows) or find_head(rows, ",")
-        tables += [] if head is None else [_without_notes(rows[head.first :], head)]
-        if tables and len(tables[0][0]) >= 10:  # no summary
-            break
+        if head is not None:
+            tables.append(_without_notes(rows[head.first :], head))
+            found.setdefault(head.names, []).append(name)
     if not tables:
         which = "no sheet holds" if sheet is None else f"the sheet {sheet!r} does not hold"
         raise InputError(f"{source}: {which} a table. Give a header with names, and rows of samples.")
     longest = max(len(samples) for samples, _ in tables)
     samples, head = next(each for each in tables if 10 * len(each[0]) >= longest)
+    if len(alike := found.get(head.names, [])) > 1:
+        raise InputError(f"{source}: {len(alike)} sheets of one layout: {', '.join(alike[:5])}. Choose one by sheet.")
     check_units(head, source)
     for k, row in enumerate(samples, start=1):
         texts = [cell for cell in row if isinstance(cell, str) and not is_missing(cell)]

@@ -16,7 +16,7 @@ from fmuid.data.time_names import is_time_name
 SPACES = r"\s+"
 """Separator of cells by any spaces."""
 _QUOTED = re.compile(r'(?<=")[^"\s][^"]*(?=")|[^"\s]+')
-_COMMENT = ("#", "%", "//")
+_COMMENT = ("#", "%", "//", "!")
 _KEYED = re.compile(r"(?:names|columns|fields|variables|channels|signals|units|einheiten)\s*[:=]?\s*", re.IGNORECASE)
 """Begin of commented lines that name columns or units: ``# Units: s V A``."""
 _FIRST_OF_R = re.compile(r'^"1"[\s,;]', re.MULTILINE)
