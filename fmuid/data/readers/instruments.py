@@ -11,10 +11,8 @@ from fmuid.data.cells import is_number
 from fmuid.data.readers.block_texts import BLOCKS
 from fmuid.data.readers.keyed_lines import KEYED
 from fmuid.data.readers.row_checks import check_count
-from fmuid.data.said_values import interval_of
 from fmuid.errors import InputError
 
-_KEPT = ("Samples", "Delta_X", "Y_Unit_Label")
 _TABLE = re.compile(r"(?:double|float)\s+(?P<name>[\w.]+)\s*\(\s*(?P<rows>\d+)\s*,\s*(?P<columns>\d+)\s*\)(?P<rest>.*)")
 
 
@@ -58,17 +56,6 @@ def _modelica(lines: Sequence[str], source: str) -> Iterator[str]:
     rows = [line.partition("#")[0].replace(",", " ").replace(";", " ") for line in lines[place + 1 :]]
     check_count(sum(len(row.split()) for row in rows) // max(count, 1), head["rows"], source)
     yield from rows
-
-
-def _labview(lines: Sequence[str]) -> RewrittenHead:
-    """Return the head of a LabVIEW measurement: of the lines above the header only samples, interval and units."""
-    ends = [k for k, line in enumerate(lines[:100]) if line.startswith("***End_of_Header***")]
-    settings, (head, *rows) = lines[: ends[-1]], lines[ends[-1] + 1 :]
-    mark = "\t" if "\t" in head else ","
-    commented = any(row.count(mark) >= head.count(mark) for row in rows[:100])
-    kept = [line for line in settings if line.startswith(tuple(f"{key}{mark}" for key in _KEPT))]
-    kept = kept if commented else [line.rstrip(mark) for line in kept]
-    return RewrittenHead([*kept, head if commented else head.removesuffix(f"{mark}Comment")], ends[-1] + 2)
 
 
 def _after_said_lines(lines: Sequence[str]) -> RewrittenHead:
@@ -147,15 +134,6 @@ def _msr(lines: Sequence[str]) -> RewrittenHead:
     return RewrittenHead([";".join(heads)], [line.strip() for line in lines].index("*DATA") + 1)
 
 
-def _owon(lines: Sequence[str]) -> RewrittenHead:
-    """Return the head of Owon: row numbers, and the interval above."""
-    step = interval_of(next(line.split(",")[1] for line in lines if line.startswith("Time interval")))
-    count = next(k for k, line in enumerate(lines) if line.startswith("index,"))
-    if step is None:
-        raise ValueError
-    return RewrittenHead([lines[count].replace("index", "time", 1)], count + 1, (0.0, step))
-
-
 def _gw_instek(lines: Sequence[str]) -> RewrittenHead:
     """Return the head of GW Instek in detail: time and sample of each channel."""
     said = {cells[0]: cells[1::2] for cells in (line.split(",") for line in lines[:40])}
@@ -174,13 +152,6 @@ def _kostal(lines: Sequence[str]) -> RewrittenHead:
     return RewrittenHead(["\t".join(f"{name} [{unit}]" if unit else name for name, unit in heads)], count + 1)
 
 
-def _sunny_portal(lines: Sequence[str]) -> RewrittenHead:
-    """Return the head of Sunny Portal: a format of dates beside units, names two lines above."""
-    count = next(k for k, line in enumerate(lines) if re.match(r"[dMy.]{8,}[^;]*;", line))
-    names, units = (lines[k].split(";")[1:] for k in (count - 2, count))
-    return RewrittenHead([";".join(["time", *map("{} [{}]".format, names, units)])], count + 1)
-
-
 def _text_of_dymola(_lines: Sequence[str], source: str) -> Iterator[str]:
     raise InputError(f"{source}: a text result of Dymola. Save it as .mat or .csv.")
 
@@ -197,7 +168,6 @@ _LAYOUTS: tuple[tuple[re.Pattern[str], Callable[[Sequence[str], str], Iterator[s
 
 
 _HEADS: tuple[tuple[re.Pattern[str], Callable[[Sequence[str]], RewrittenHead]], ...] = (
-    (re.compile(r"LabVIEW Measurement\b"), _labview),
     (re.compile(r"[^\n]* ASCII FILE\s*\nNb header lines *: *\d+"), _after_said_lines),
     (re.compile(r"Name\W[^\n]*\nFile\W[^\n]*\n\"?Starttime of export\W"), _twincat),
     (re.compile(r"(?:\s*(?:#|TITLE\s*=)[^\n]*\n)*\s*VARIABLES\s*=", re.IGNORECASE), _tecplot),
@@ -206,10 +176,8 @@ _HEADS: tuple[tuple[re.Pattern[str], Callable[[Sequence[str]], RewrittenHead]], 
     (re.compile(r"%DataLog%\s*\n"), _haltech),
     (re.compile(r"Interval=\t"), _labchart),
     (re.compile(r"\*CREATOR\s*\n"), _msr),
-    (re.compile(r"Channel\s*:,CH\d(?:[^\n]*\n){1,20}?Time interval"), _owon),
     (re.compile(r"Format,[\d.]+[A-Z],.*\n(?:[^\n]*\n){1,40}?Waveform Data"), _gw_instek),
     (re.compile(r"(?:[^\n]*\n){1,6}?Logdaten U\[V\]"), _kostal),
-    (re.compile(r"(?:sep=;\s*\n)?Version CSV1\|Tool"), _sunny_portal),
 )
 """The same where only lines above the samples are rewritten."""
 
