@@ -303,7 +303,7 @@ def find_head(rows: Sequence[Sequence[Cell]], decimal: str = ".") -> TableHeader
 
 
 def _above(rows: Sequence[Sequence[Cell]], first: int) -> int:
-    """Return the row above samples, beyond ``[Data]``, remarks and rows of one key."""
+    """Return the row above samples, beyond remarks and rows of one key."""
     k = first - 1
     while k > 0 and (
         _of_one_key(rows[k])[0]
