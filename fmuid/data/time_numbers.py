@@ -46,10 +46,6 @@ _DATE_PARTS = {
 """Parts of dates in their order, and what columns call them."""
 
 
-_ANY_YEAR = 2001
-"""Year of days without one; it has no leap day."""
-
-
 def since_1970(values: Any, unit: str | None) -> Literal["s", "ms", "us", "ns"] | None:
     """Return the unit of this century's epoch times, else None."""
     first = values.iloc[0] if pd.api.types.is_numeric_dtype(values.dtype) and len(values) else 0
@@ -161,15 +157,15 @@ def with_dates_of_days(frame: pd.DataFrame) -> pd.DataFrame:
     return frame.assign(**{names["timestring"]: dates}).drop(columns=names["time_ms"])
 
 
-def _in_a_row(frame: pd.DataFrame) -> dict[str, Any]:
-    """Return columns such as YY MM DD hh mm by their parts; empty without them."""
+def _in_a_row(frame: pd.DataFrame, year: int = 2001) -> dict[str, Any]:
+    """Return columns such as YY MM DD hh mm, by default of `year`."""
     names = [str(name).strip().lower() for name in frame.columns]
     for first, parts in itertools.product(range(len(names)), ([*_DATE_PARTS], [*_DATE_PARTS][1:])):
         pairs = zip(names[first:], (_DATE_PARTS[part] for part in parts), strict=False)
         count = len([*itertools.takewhile(lambda pair: pair[0] in pair[1], pairs)])
         if count >= 3 and parts[count - 1] in ("hour", "minute", "second"):
             found = {part: frame.iloc[:, first + k] for k, part in enumerate(parts[:count])}
-            return {"year": found["month"] * 0 + _ANY_YEAR} | found
+            return {"year": found["month"] * 0 + year} | found
     return {}
 
 
