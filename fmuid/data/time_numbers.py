@@ -158,7 +158,7 @@ def with_dates_of_days(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def _in_a_row(frame: pd.DataFrame, year: int = 2001) -> dict[str, Any]:
-    """Return columns such as YY MM DD hh mm, by default of `year`."""
+    """Return columns such as YY MM DD, by default of `year`."""
     names = [str(name).strip().lower() for name in frame.columns]
     for first, parts in itertools.product(range(len(names)), ([*_DATE_PARTS], [*_DATE_PARTS][1:])):
         pairs = zip(names[first:], (_DATE_PARTS[part] for part in parts), strict=False)
