@@ -200,11 +200,13 @@ class WindowEvaluation:
     def _ended(self, now: MonitorState, found: AlarmDecision, begin: float) -> MonitorState:
         """Return the state, without the alarm if its causes are gone."""
         columns = list(found.columns)
-        information, score = ScoreStatistics.of(self.sums.whole, self.against.known).part(columns)
+        information, score = self._news.part(columns)
         gone = now.gone + float(0.5 * found.sizes @ information @ found.sizes - score @ found.sizes)
         if gone <= 0.0:
             return replace(now, gone=0.0)
         absent = begin if now.gone == 0.0 else now.absent
+        if gone >= SETTINGS.gone and self._alone_probability <= self.against.rule.level:
+            return replace(now, gone=0.0, statistic=0.0)  # another change than that: it is decided again
         if gone < SETTINGS.gone:
             return replace(now, gone=gone, absent=absent)
         self.watch = self.watch.restarted(found.when.between[0])
@@ -266,15 +268,27 @@ class WindowEvaluation:
             return SOMETHING_ELSE
         return label_of(found.explanations)
 
+    @cached_property
+    def _news(self) -> ScoreStatistics:
+        """Changes of this window alone."""
+        return ScoreStatistics.of(self.sums.whole, self.against.known)
+
+    @cached_property
+    def _alone_chances(self) -> Floats:
+        causes, least = self.against.coordinates.causes, LEAST * np.diag(self.sums.whole.matrix)
+        information = self._news.information + np.diag(least)
+        return log_chances(statistics_of(information[None], self._news.score[None], causes), causes)[0]
+
+    @property
+    def _alone_probability(self) -> float:
+        """Probability of this window alone by chance, for all causes."""
+        return min(1.0, len(self._alone_chances) * math.exp(self._alone_chances.min()))
+
     def row(self) -> dict[str, Any]:
         """Return the window's row of the table."""
         window, causes = self.sums.window, self.against.coordinates.causes
-        news = ScoreStatistics.of(self.sums.whole, self.against.known)
-        least = LEAST * np.diag(self.sums.whole.matrix)
-        statistics = statistics_of((news.information + np.diag(least))[None], news.score[None], causes)
-        chances = log_chances(statistics, causes)[0]
-        best = causes[int(np.argmin(chances))]
-        probability = min(1.0, len(causes) * math.exp(chances.min()))
+        news, least, probability = self._news, LEAST * np.diag(self.sums.whole.matrix), self._alone_probability
+        best = causes[int(np.argmin(self._alone_chances))]
         of = self.against.coordinates.each[best.columns[0]]
         row: dict[str, Any] = {
             "record": self.now.records[-1].name,
