@@ -277,7 +277,8 @@ class WindowEvaluation:
     def _alone_chances(self) -> Floats:
         causes, least = self.against.coordinates.causes, LEAST * np.diag(self.sums.whole.matrix)
         information = self._news.information + np.diag(least)
-        return log_chances(statistics_of(information[None], self._news.score[None], causes), causes)[0]
+        found = log_chances(statistics_of(information[None], self._news.score[None], causes), causes)
+        return np.asarray(found[0])
 
     @property
     def _alone_probability(self) -> float:
