@@ -112,14 +112,6 @@ def _(folder: Path) -> None:
         match_data_files(COIL, [written(folder, PLAIN.assign(time=local))])
 
 
-@row("rows of several devices, which a column of texts tells apart")
-def _(folder: Path) -> None:
-    both = pd.concat([PLAIN.assign(device=name) for name in ("drive 1", "drive 2")]).sort_values("time", kind="stable")
-    with pytest.raises(InputError, match="drive 1"):
-        studied(written(folder, both))
-    assert_plain(*studied(written(folder, both[both["device"] == "drive 1"])))
-
-
 @row("no times, 10 kHz")
 def _(folder: Path) -> None:
     np.testing.assert_allclose(begun(written(folder, PLAIN[["u", "i"]]), sample_rate=10e3).times, T / 10)
@@ -247,3 +239,10 @@ def _(folder: Path) -> None:
         written(folder, name=f"rig{k}.csv")
     studied(written(folder), more='[batch]\ndata = "rig*.csv"')
     assert len(CaseList.of(Study.read(folder / "study.toml"))) == 30
+
+
+def test_rows_of_several_devices(tmp_path: Path) -> None:
+    both = pd.concat([PLAIN.assign(device=name) for name in ("drive 1", "drive 2")]).sort_values("time", kind="stable")
+    with pytest.raises(InputError, match="drive 1"):
+        studied(written(tmp_path, both))
+    assert_plain(*studied(written(tmp_path, both[both["device"] == "drive 1"])))
