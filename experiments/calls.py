@@ -47,6 +47,9 @@ class Linearised(Protocol):
     def linearize(self, point: Floats) -> tuple[Floats, Floats]:
         """Return the outputs (K, n_outputs) at a point (N,), and their derivatives (K, n_outputs, N)."""
 
+    def in_axes(self, outputs: Floats, /) -> Floats: ...
+    def sensed(self, slopes: Floats, /) -> Floats: ...
+
 
 class Shared:
     """A machine that is linearized once for all records of one excitation."""
@@ -77,6 +80,14 @@ class Shared:
     def outputs(self, point: Floats) -> Floats:
         """Return the outputs alone."""
         return self.linearize(point)[0]
+
+    def in_axes(self, outputs: Floats) -> Floats:
+        """Return outputs of the model behind those of sensors."""
+        return self._machine.in_axes(outputs)
+
+    def sensed(self, slopes: Floats) -> Floats:
+        """Return the slopes of sensors by those of the model."""
+        return self._machine.sensed(slopes)
 
     def _distance(self, point: Floats, anchor: tuple[Floats, Floats, Floats, Floats]) -> float:
         off = point - anchor[0]

@@ -28,7 +28,7 @@ class UnexplainedSettings:
 
     level_share: float = 0.1  # of the level, spent on these tests
     spans: tuple[int, ...] = (0, 1, 2, 4, 8, 16, 32)  # lags of the inputs, samples; summed between
-    structure_share: float = 0.5  # of the level, for structure beside healthy data
+    structure_share: float = 0.2  # of the level, for structure beside healthy data
     smooth: int = 32  # samples, time constant of a signal's size ...
     slow: int = 8  # ... and parts of a record, one of which is that of its level
     nothing: float = 1e-8  # information of a direction, over the best, below which it is left out
