@@ -47,8 +47,11 @@ class Linearised(Protocol):
     def linearize(self, point: Floats) -> tuple[Floats, Floats]:
         """Return the outputs (K, n_outputs) at a point (N,), and their derivatives (K, n_outputs, N)."""
 
-    def in_axes(self, outputs: Floats, /) -> Floats: ...
-    def sensed(self, slopes: Floats, /) -> Floats: ...
+    def in_axes(self, outputs: Floats, /) -> Floats:
+        """Return outputs of the model behind those of sensors."""
+
+    def sensed(self, slopes: Floats, /) -> Floats:
+        """Return the slopes of sensors by those of the model."""
 
 
 class Shared:
