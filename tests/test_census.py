@@ -7,7 +7,7 @@ from tests.support.house import PACKAGE, statements, tree
 
 FILES = {".".join(path.relative_to(PACKAGE).with_suffix("").parts): path for path in sorted(PACKAGE.rglob("*.py"))}
 
-MAX_LINES = 65_740
+MAX_LINES = 65_735
 """Lines of Python, the exporter included; the plan has 41,700."""
 MAX_CONSTANTS = 131
 """Numbers that capitals of a module stand for; those of an algorithm belong to its settings. The plan has 150."""

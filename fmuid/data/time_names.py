@@ -44,19 +44,8 @@ _UNIT_WORDS = {
     **dict.fromkeys(("nanos", "nsecs", "nanosec"), "ns"),
 }
 _BESIDE_UNITS = {
-    "time",
-    "t",
-    "zeit",
-    "elapsed",
-    "since",
-    "start",
-    "begin",
-    "total",
-    "run",
-    "test",
-    "clock",
-    "timestamp",
-}
+    "time", "t", "zeit", "elapsed", "since", "start", "begin", "total", "run", "test", "clock", "timestamp",
+}  # fmt: skip
 """Words beside a unit in names of times: ``elapsedMillis``, ``seconds_since_start``."""
 
 

@@ -274,9 +274,13 @@ class WindowEvaluation:
         return ScoreStatistics.of(self.sums.whole, self.against.known)
 
     @cached_property
+    def _least(self) -> Floats:
+        """Least information on each coordinate (N,)."""
+        return LEAST * np.diag(self.sums.whole.matrix)
+
+    @cached_property
     def _alone_chances(self) -> Floats:
-        causes, least = self.against.coordinates.causes, LEAST * np.diag(self.sums.whole.matrix)
-        information = self._news.information + np.diag(least)
+        causes, information = self.against.coordinates.causes, self._news.information + np.diag(self._least)
         found = log_chances(statistics_of(information[None], self._news.score[None], causes), causes)
         return np.asarray(found[0])
 
@@ -288,7 +292,7 @@ class WindowEvaluation:
     def row(self) -> dict[str, Any]:
         """Return the window's row of the table."""
         window, causes = self.sums.window, self.against.coordinates.causes
-        news, least, probability = self._news, LEAST * np.diag(self.sums.whole.matrix), self._alone_probability
+        probability = self._alone_probability
         best = causes[int(np.argmin(self._alone_chances))]
         of = self.against.coordinates.each[best.columns[0]]
         row: dict[str, Any] = {
@@ -311,20 +315,20 @@ class WindowEvaluation:
             name = self.against.coordinates.each[i].variable
             row |= {name: healthy[i] + self.estimate.mean[i], f"{name}.std": float(std[i])}
         for cause in causes:
-            row |= self._alone(news, cause, least)
+            row |= self._alone(cause)
         return row
 
-    def _alone(self, news: ScoreStatistics, cause: Cause, least: Floats) -> dict[str, float]:
+    def _alone(self, cause: Cause) -> dict[str, float]:
         """Return the cells of a cause from this window alone."""
         first = self.against.coordinates.each[cause.columns[0]]
         name = first.name if first.kind is not CauseKind.PARAMETER else f"{first.name} drift"
         if len(cause.columns) > 1:
-            found = fit(news, (cause,))
+            found = fit(self._news, (cause,))
             change = changes((cause,), found, self.against.coordinates)[0]
             return {name: change.value, f"{name}.std": change.std, f"{change.fault}.{change.angle}": change.angle_value}
         i = cause.columns[0]
-        own, score = float(news.information[i, i]), float(news.score[i])
-        if not own > least[i]:
+        own, score = float(self._news.information[i, i]), float(self._news.score[i])
+        if not own > self._least[i]:
             return {name: 0.0, f"{name}.std": math.inf}
         return {
             name: max(0.0, score * cause.sign) * cause.sign / own if cause.sign else score / own,

@@ -41,6 +41,7 @@ from .noise.output_series import output_series as output_series
 from .noise.sample_grid import Rows as Rows
 from .noise.sandwich import ResidualNoise as ResidualNoise
 from .noise.sandwich import SandwichCovariance as SandwichCovariance
+from .noise.sandwich import evened as evened
 from .noise.sandwich import sandwich as sandwich
 from .noise.sandwich import sandwich_of as sandwich_of
 from .noise.sandwich import share_left as share_left

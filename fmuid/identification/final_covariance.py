@@ -37,9 +37,8 @@ def with_solver_error(result: Result, check: SolverCheck | None, before: Floats)
     """
     if check is None:
         return result
-    known = len(before)
     shift = np.full(len(result.std), np.nan)
-    shift[:known] = check.shift[:known] * before / result.std[:known]
+    shift[: len(before)] = check.shift * before / result.std[: len(before)]
     check = replace(check, shift=shift)
     if check.outcome is AccuracyOutcome.PASSED and check.largest > SHIFT_LIMIT:
         check = replace(check, outcome=AccuracyOutcome.SHIFTED)

@@ -17,7 +17,7 @@ import pandas as pd
 from fmuid.blas import single_threaded
 from fmuid.codec import Layout
 from fmuid.errors import InputError
-from fmuid.estimation import FitProjection, LeastSquares, NoiseModel, ResidualNoise, Result
+from fmuid.estimation import FitProjection, LeastSquares, NoiseModel, ResidualNoise, Result, evened
 from fmuid.identification.residual_series import InputCorrelation, ResidualSeries, examine_outputs
 
 CORRELATIONS = ("experiment", "output", "with", "lag", "time", "correlation", "band")
@@ -241,7 +241,7 @@ def analyze_residuals(problem: LeastSquares, result: Result) -> ResidualAnalysis
     taken = FitProjection(columns, columns.T @ columns)
     even = None if problem.levels.scale is None else local.residual
     if noise.levels is not None:
-        even = noise.evened(local.residual, local.data_basis)[0]
+        even = evened(local.residual, local.data_basis, noise.levels)[0]
     for experiment, fit in zip(problem.experiments, result.fit.frames, strict=True):
         simulated = fit[[f"simulated.{output}" for output in experiment.output_names]].to_numpy(np.float64)
         models = [each for each in noise.models if each.series.experiment == experiment.name]

@@ -212,16 +212,15 @@ class System:
     @cached_property
     def states(self) -> tuple[str, ...]:
         """Names of the continuous states of all components."""
-        return self._named("states")
+        return self._full_names({name: each.fmu.description.states for name, each in self.components.items()})
 
     @cached_property
     def derivatives(self) -> tuple[str, ...]:
         """Names of the states' derivatives."""
-        return self._named("derivatives")
+        return self._full_names({name: each.fmu.description.derivatives for name, each in self.components.items()})
 
-    def _named(self, which: str) -> tuple[str, ...]:
-        described = {component: getattr(model.fmu.description, which) for component, model in self.components.items()}
-        return tuple(self.full_name(component, name) for component, names in described.items() for name in names)
+    def _full_names(self, inner: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
+        return tuple(self.full_name(component, name) for component, names in inner.items() for name in names)
 
     @cached_property
     def connected_inputs(self) -> frozenset[str]:

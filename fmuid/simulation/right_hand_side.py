@@ -77,7 +77,7 @@ class RightHandSide:
         simulator, system = simulator.of_model, by_model_exchange(simulator.system)
         if system is None or len(simulator.experiment.times) < 2:
             return None
-        if len(system.components) > 1 and (seeds or not all(map(system.integrates, system.components))):
+        if len(system.components) > 1 and not all(map(system.integrates, system.components)):
             return None
         for name in (*system.states, *system.derivatives):
             variable = system.variables.get(name)

@@ -182,8 +182,8 @@ def test_half_the_step_suggests_a_bound(folder: Path) -> None:
     assert abs(found.shift[0]) == pytest.approx(off(result), rel=0.3)
     doubt = next(each for each in judge(result).doubts if each.reason is Reason.SOLVER_UNCHECKED)
     assert doubt.values["bound"] == found.largest
-    assert unchecked_words(doubt)[0].startswith("half the communication step suggests ")
-    assert unchecked_words(Doubt(doubt.reason, ("failed",)))[0] == "shorter communication steps fail"
+    assert unchecked_words(doubt).startswith("half the communication step suggests ")
+    assert unchecked_words(Doubt(doubt.reason, ("failed",))) == "shorter communication steps fail"
 
 
 def test_a_start_that_shorter_steps_alone_can_simulate(folder: Path) -> None:

@@ -80,7 +80,8 @@ def read_text(path: Path, source: str) -> RawTable:
             blank = [f"\0 {k}" for k, name in enumerate(names) if not name]
             names = [name or f"\0 {k}" for k, name in enumerate(names)] if blank[1:] else names
             check_once(source, names)
-            frame = _samples(_without_end(again, layout), source, layout, names)
+            size, last = _ending(again)
+            frame = _samples(_without_end(again, size, last, layout), source, layout, names)
             frame = frame.drop(columns=[name for name in blank if name in frame and frame[name].isna().all()])
             check_once(source, ["" if name in blank else str(name) for name in frame.columns])
             if clock is not None and pd.api.types.is_numeric_dtype(frame[names[0]].dtype):
@@ -89,7 +90,8 @@ def read_text(path: Path, source: str) -> RawTable:
                 frame[name], unit = without_units(frame[name], layout.decimal)
                 said |= {} if unit is None else {name: unit}
             bare = [name for name in names if name not in said]
-            said |= units_in_legend([*shown.splitlines()[: layout.line], *_last_lines(again)], bare)
+            below = (line.decode("utf-8", "replace") for line in last)
+            said |= units_in_legend([*shown.splitlines()[: layout.line], *below], bare)
             if layout.head.step is not None:  # it may stand for an empty column of times
                 frame = frame.loc[:, frame.notna().any()]
             return RawTable(frame, said, step=layout.head.step, rows=layout.head.rows)
@@ -157,26 +159,25 @@ def head_length(start: bytes, source: str) -> int:
     return len(b"".join(lines[: layout.line]))
 
 
-def _without_end(opened: Callable[[], IO[bytes]], layout: TextLayout) -> Callable[[], IO[bytes]]:
-    """Return an opener without the lines after the samples."""
+def _ending(opened: Callable[[], IO[bytes]]) -> tuple[int, list[bytes]]:
+    """Return a text's size, and its last lines with their ends."""
     with opened() as file:
         size = file.seek(0, io.SEEK_END)
         file.seek(max(size - _END, 0))
-        lines = file.read().splitlines(keepends=True)[1:]
-    end = size
+        return size, file.read().splitlines(keepends=True)[1:]
+
+
+def _without_end(
+    opened: Callable[[], IO[bytes]], size: int, last: Sequence[bytes], layout: TextLayout
+) -> Callable[[], IO[bytes]]:
+    """Return an opener without the lines after the samples."""
+    end, lines = size, [*last]
     while lines and _says_nothing(lines[-1].decode("utf-8", "replace"), layout):
         end -= len(lines.pop())
     if end == size:
         return opened
     with opened() as file:
         return partial(io.BytesIO, file.read(end))
-
-
-def _last_lines(opened: Callable[[], IO[bytes]]) -> list[str]:
-    """Return the last lines of a text."""
-    with opened() as file:
-        file.seek(max(file.seek(0, io.SEEK_END) - _END, 0))
-        return file.read().decode("utf-8", "replace").splitlines()
 
 
 def _says_nothing(line: str, layout: TextLayout) -> bool:

@@ -56,12 +56,6 @@ class ResidualNoise:
             total += spectra.gram(spectra.coupled(common))
         return total + sum(each.gram(columns) for each in self.returning)
 
-    def evened(self, residual: Floats, basis: Floats) -> tuple[Floats, Floats]:
-        """Return residual (n,) and basis (n, k) of an even fit."""
-        levels = np.ones(len(residual)) if self.levels is None else self.levels
-        residual, basis = residual / levels, np.linalg.qr(basis / levels[:, None])[0]
-        return residual - basis @ (basis.T @ residual), basis
-
     def grids(self) -> list[tuple[list[NoiseModel], Floats]]:
         """Return models and innovation covariance of each grid."""
         grids = _members([each.series.grid for each in self.models])
@@ -114,10 +108,16 @@ def sandwich_of_rows(problem: LeastSquares, rows: Rows, simulated: Floats | None
         levels = uneven_levels(found.noise.models, rows.residual, simulated, left)
     if levels is None:
         return found
-    residual, basis = replace(found.noise, levels=levels).evened(rows.residual, rows.basis)
+    residual, basis = evened(rows.residual, rows.basis, levels)
     even = replace(rows, residual=residual, basis=basis, columns=rows.columns * levels[:, None])
     again = sandwich(even, problem.series, problem.periods)
     return replace(again, noise=replace(again.noise, levels=levels))
+
+
+def evened(residual: Floats, basis: Floats, levels: Floats) -> tuple[Floats, Floats]:
+    """Return residual (n,) and basis (n, k) of an even fit."""
+    residual, basis = residual / levels, np.linalg.qr(basis / levels[:, None])[0]
+    return residual - basis @ (basis.T @ residual), basis
 
 
 def share_left(problem: LeastSquares, basis: Floats) -> Floats | None:

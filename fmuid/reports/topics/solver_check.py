@@ -12,6 +12,7 @@ from fmuid.estimation import (
     SHIFT_LIMIT,
     AccuracyOutcome,
     Doubt,
+    Reason,
     RefinementRefusal,
     RefinementStep,
     RunFields,
@@ -96,7 +97,9 @@ class SolverMessage(Message, section="accuracy"):
         "an error, or a sampled controller that acts more often",
         "Set `discrete_time` to true or false for each component.",
     )
-    FAILED = doubt("Solver error is unknown: {finer} fails at the estimates.")
+    FAILED = doubt(
+        "Solver error is unknown: {finer} fails at the estimates.", remedy="Export the FMU for Model Exchange."
+    )
     SUGGESTED = doubt(
         "Solver error is unknown; half the communication step suggests {shifts}.",
         "twice its shift, by Richardson at order 1; shorter steps fail",
@@ -110,29 +113,29 @@ class SolverMessage(Message, section="accuracy"):
 class UncheckedMessage(Message, section="accuracy"):
     """Reasons of an unknown solver error, by `AccuracyOutcome`."""
 
-    UNKNOWN = plain("an estimate has no σ", remedy="First make all parameters identifiable.")
-    UNCHECKABLE = plain("shorter communication steps change nothing", remedy="Export the FMU for Model Exchange.")
-    COUPLED = plain(
-        "shorter communication steps suggest {bound}", remedy="Set `discrete_time` to true or false for each component."
-    )
-    FAILED = plain("shorter communication steps fail", remedy="Export the FMU for Model Exchange.")
-    SUGGESTED = plain("half the communication step suggests {bound}", remedy="Export the FMU for Model Exchange.")
+    UNKNOWN = "an estimate has no σ"
+    UNCHECKABLE = "shorter communication steps change nothing"
+    COUPLED = "shorter communication steps suggest {bound}"
+    FAILED = "shorter communication steps fail"
+    SUGGESTED = "half the communication step suggests {bound}"
     INTERRUPTED = "its check was interrupted"
 
 
 def solver_remedy(found: Doubt) -> str:
-    """Return the remedy of a solver error: of the reason that kept the solver."""
+    """Return the remedy of a solver error: of its check, or of the reason that kept the solver."""
+    if found.reason is Reason.SOLVER_UNCHECKED:
+        return SolverMessage[AccuracyOutcome(found.subject[0]).name].remedy
     return SolverMessage[RefinementRefusal(found.subject[1]).name].remedy if len(found.subject) > 1 else ""
 
 
-def unchecked_words(found: Doubt) -> tuple[str, str]:
-    """Return the reason of an unknown solver error, and its remedy."""
+def unchecked_words(found: Doubt) -> str:
+    """Return the reason of an unknown solver error, or its bound."""
     outcome, bound = AccuracyOutcome(found.subject[0]), found.values.get("bound")
     message = UncheckedMessage[outcome.name]
-    if bound is not None and outcome is AccuracyOutcome.FAILED:
-        message = UncheckedMessage.SUGGESTED
-    size = "an unknown error" if bound is None else f"{max(bound, LEAST_SHOWN):.2g} σ"
-    return message.text.format(bound=size), message.remedy
+    if bound is None:
+        return message.text.format(bound="an unknown error")
+    message = UncheckedMessage.SUGGESTED if outcome is AccuracyOutcome.FAILED else message
+    return message.text.format(bound=f"{max(bound, LEAST_SHOWN):.2g} σ")
 
 
 def run_words(run: SolverConfiguration) -> str:

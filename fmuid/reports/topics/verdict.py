@@ -102,7 +102,7 @@ def _phrases(found: Sequence[Doubt]) -> Iterator[str]:
         words = {
             "first": next(iter(first.subject), ""),
             "subjects": listed(_subjects(reason, doubts)),
-            "cause": unchecked_words(first)[0] if reason is Reason.SOLVER_UNCHECKED else "",
+            "cause": unchecked_words(first) if reason is Reason.SOLVER_UNCHECKED else "",
             "inputs": listed(list(dict.fromkeys(each.subject[2] for each in doubts if len(each.subject) > 2))),
             "defect": listed([defect_words(each) for each in doubts]) if reason in _DEFECTS else "",
             "error": listed([error_words(each) for each in doubts]) if reason is Reason.MODEL_ERROR else "",
@@ -117,7 +117,7 @@ def _subjects(reason: Reason, doubts: list[Doubt]) -> list[str]:
 
 _REMEDIES = {
     Reason.MODEL_ERROR: error_remedy,
-    Reason.SOLVER_UNCHECKED: lambda first: unchecked_words(first)[1],
+    Reason.SOLVER_UNCHECKED: solver_remedy,
     Reason.SOLVER_ERROR: solver_remedy,
     Reason.CONVENTION: defect_remedy,
     Reason.DATA_DEFECT: defect_remedy,

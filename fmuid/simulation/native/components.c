@@ -149,12 +149,17 @@ static bool step3(Simulation *self, size_t c, double until) {
   return fail(self, STUCK, c, fmi2OK);
 }
 
-/* Show all components, each for model exchange, their states of a sample, and what these make of each other. */
+/* Leave Event Mode where a component is in it. */
+static bool run_on(Simulation *self, size_t c, double time) {
+  return self->plan->components[c].mode != IN_EVENTS || leave_events(self, c, time);
+}
+
+/* Show all components, each for model exchange, their states of a sample. */
 bool show_states(Simulation *self, size_t sample) {
   const double *states = self->states + sample * (size_t)self->grid->n_states;
   for (size_t c = 0; c < self->plan->n_components; c++) {
     Integrator *integrator = self->plan->components[c].integrator;
-    if (self->plan->components[c].mode == IN_EVENTS && !leave_events(self, c, self->now)) return false;
+    if (!run_on(self, c, self->now)) return false;
     if (!integrated(self, c, integrator_show(integrator, self->now, states))) return false;
     states += integrator->how.n_states;
   }
@@ -171,7 +176,7 @@ bool correct_states(Simulation *self, size_t sample) {
   if (missing == n) return true; /* integration goes on without a new beginning */
   for (size_t c = 0; c < self->plan->n_components; c++) {
     Integrator *integrator = self->plan->components[c].integrator;
-    if (self->plan->components[c].mode == IN_EVENTS && !leave_events(self, c, self->now)) return false;
+    if (!run_on(self, c, self->now)) return false;
     if (!integrated(self, c, integrator_correct(integrator, self->now, gain, measured, outputs, n))) return false;
     gain += integrator->how.n_states * n;
   }
@@ -181,7 +186,7 @@ bool correct_states(Simulation *self, size_t sample) {
 /* Take a component that is not of co-simulation by FMI 2.0 from one of its communication points to the next. */
 bool step_on(Simulation *self, size_t c, double from, double until) {
   Component *component = &self->plan->components[c];
-  if (component->mode == IN_EVENTS && !leave_events(self, c, from)) return false;
+  if (!run_on(self, c, from)) return false;
   if (component->integrator) return integrated(self, c, integrator_advance(component->integrator, until));
   return step3(self, c, until);
 }
